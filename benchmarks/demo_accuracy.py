@@ -1,0 +1,102 @@
+"""How far every stage of the marker pipeline is off, over many synthetic takes.
+
+    python benchmarks/demo_accuracy.py --seeds 20 [--first 100] [--out FILE.md]
+
+Each seed is another actor, performance and camera rig, filmed as `facewright demo` films it
+(4 cameras, 4 s at 60 frames/s, 30 flat dots, H.264 below 2 Mbit/s), tracked from the video files
+and compared with the exact truth. Seed 0 is the demo's own and is left out by default.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+import tempfile
+import time
+from collections import defaultdict
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from facewright import __version__
+from facewright.cli.evaluation import Stage, evaluate, load_truth
+from facewright.core.formats.markers_toml import read_marker_set
+from facewright.core.formats.rig_json import read_rig
+from facewright.core.video import probe_video
+from facewright.datasets_synthetic.film import film_take
+from facewright.datasets_synthetic.takes import make_take
+from facewright.tracking.gaps import fill_gaps
+from facewright.tracking.labelling import label_tracks
+from facewright.tracking.performance import analyse
+from facewright.tracking.videos import track_videos, warm_up
+
+
+def judge_seed(seed: int, seconds: float) -> list[Stage]:
+    """All stages of one take."""
+    with tempfile.TemporaryDirectory() as name:
+        start = time.perf_counter()
+        filmed = film_take(make_take(seed, seconds=seconds), Path(name))
+        filming_s = time.perf_counter() - start
+        marker_set = read_marker_set(filmed.marker_set)
+        start = time.perf_counter()
+        tracked = track_videos(filmed.videos, read_rig(filmed.rig)).trajectories
+        tracking_s = time.perf_counter() - start
+        labelled, _ = label_tracks(tracked, marker_set)
+        labelled = fill_gaps(labelled)
+        truth = load_truth(filmed.truth)
+        stages = evaluate(filmed.videos, truth, labelled, analyse(labelled, marker_set))
+        n = len(truth["time_s"]) * len(filmed.videos)
+        rates = [p.stat().st_size * 8e-6 / probe_video(p).duration_s for p in filmed.videos]
+    return [
+        Stage("filming", "camera frames per second", "1/s", n / filming_s),
+        Stage("filming", "largest video", "Mbit/s", max(rates), 2.0),
+        Stage("tracking", "camera frames per second", "1/s", n / tracking_s, 120, at_least=True),
+        *stages,
+    ]
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=100)
+    parser.add_argument("--seconds", type=float, default=4.0)
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    warm_up()
+    values: dict[tuple[str, str], list[Stage]] = defaultdict(list)
+    for seed in range(options.first, options.first + options.seeds):
+        missed = []
+        for stage in judge_seed(seed, options.seconds):
+            values[stage.stage, stage.quantity].append(stage)
+            if not stage.passed:
+                missed.append(f"{stage.quantity} {stage.value:.4g}")
+        print(f"seed {seed}: {', '.join(missed) or 'all limits kept'}", flush=True)
+    lines = [
+        f"facewright {__version__}, seeds {options.first} to {options.first + options.seeds - 1}, "
+        f"{options.seconds:g} s each; {platform.machine()}, Python {platform.python_version()}, "
+        f"NumPy {np.__version__}, OpenCV {cv2.__version__}",
+        "",
+        "| stage | measured | unit | median | worst | limit | seeds within |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for (stage_name, quantity), stages in values.items():
+        v = np.array([s.value for s in stages])
+        at_least, limit = stages[0].at_least, stages[0].limit
+        worst = v.min() if at_least or quantity.endswith("per second") else v.max()
+        sign = "≥" if at_least else "≤"
+        kept = "" if limit is None else f"{sum(s.passed for s in stages)} of {len(stages)}"
+        bound = "" if limit is None else f"{sign} {limit:g}"
+        lines.append(
+            f"| {stage_name} | {quantity} | {stages[0].unit} | {np.median(v):.4g} | {worst:.4g} "
+            f"| {bound} | {kept} |"
+        )
+    text = "\n".join(lines)
+    print(text)
+    if options.out:
+        options.out.write_text(text + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

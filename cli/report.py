@@ -1,0 +1,47 @@
+"""The page of a performance: source, tracks and head on one time line, curves, tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .page import PageModel, PageTable, PageVideo, write_page
+from .tables import cell_text
+
+if TYPE_CHECKING:
+    from ..tracking.performance import TrackedPerformance
+
+
+def write_report(
+    folder: Path,
+    head: str,
+    performance: TrackedPerformance,
+    facts: dict[str, Any],
+    tables: Sequence[PageTable] = (),
+) -> None:
+    """Write `report.html` from ``head.glb`` and ``source.mp4`` of the folder."""
+    measured = [
+        (name.replace("_", " "), cell_text(value))
+        for name, value in facts.items()
+        if not isinstance(value, list | dict) and not hasattr(value, "shape")
+    ]
+    units = [(name, f"{value:.2f}") for name, value in performance.fapu.as_dict().items()]
+    approximated = ", ".join(performance.approximated)
+    write_page(
+        folder / "report.html",
+        title=f"{folder.name}: performance on head {head}",
+        models=[PageModel(f"{head}, driven by FAPs", (folder / "head.glb").read_bytes())],
+        videos=[PageVideo("source and tracks", (folder / "source.mp4").read_bytes())],
+        curves=performance.faps,
+        tables=[
+            *tables,
+            PageTable("This run", ("measured", "value"), measured),
+            PageTable(f"Units of the performer ({performance.fapu_source})", ("unit", "mm"), units),
+        ],
+        notes=(
+            "FAPs are in the units of the MPEG-4 table: 1/1024 of a distance on the neutral face, "
+            "or 1e-5 rad. "
+            + (f"Taken from the outer lip contour: {approximated}." if approximated else "")
+        ),
+    )

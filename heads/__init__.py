@@ -1,0 +1,1 @@
+"""What a head is, how it looks, and how it is drawn."""

@@ -1,0 +1,1 @@
+"""From parameters to a moving head: feature-point deformation and export."""

@@ -1,0 +1,1 @@
+"""From sound to visemes. Linear prediction and the vowel network join with their own issue."""

@@ -1,0 +1,1 @@
+"""From video to motion: dots, trajectories, head motion, FAPs."""
