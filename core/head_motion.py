@@ -54,6 +54,8 @@ class HeadMotion:
     def world_from_head(self, points: ArrayLike) -> NDArray[np.float64]:
         """Carry head-frame points, (T, M, 3), or (M, 3) for all times, to the world: (T, M, 3)."""
         p = np.asarray(points, dtype=np.float64)
+        if p.ndim not in (2, 3) or p.shape[-1] != 3:
+            raise ValueError(f"points must have shape (M, 3) or (T, M, 3), got {p.shape}")
         if p.ndim == 2:
             p = np.broadcast_to(p, (len(self.time_s), *p.shape))
         return np.asarray(np.einsum("tij,tmj->tmi", self.rotation, p) + self.translation[:, None])

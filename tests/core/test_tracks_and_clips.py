@@ -151,7 +151,8 @@ def test_head_motion_carries_one_set_of_points_to_all_times() -> None:
     found = motion.world_from_head(points)
     assert found.shape == (5, 6, 3)
     np.testing.assert_allclose(found, motion.world_from_head(np.tile(points, (5, 1, 1))))
-    np.testing.assert_allclose(motion.world_from_head(points[0]), found[:, 0])
+    with pytest.raises(ValueError, match=r"\(M, 3\)"):
+        motion.world_from_head(points[0])
 
 
 def test_unknown_head_motion_gives_unknown_points() -> None:
