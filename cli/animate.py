@@ -89,7 +89,8 @@ def run_animate(
     head: str,
     neutral: str = "0",
 ) -> AnimateResult:
-    """The whole way from videos to the animated head; writes all files but the report."""
+    """The whole way from videos to the animated head; writes all files into a folder."""
+    import tempfile
     import time
 
     from ..core.formats.c3d import write_c3d
@@ -120,14 +121,14 @@ def run_animate(
     view = choose_view(rig, paths, tracked.trajectories, forward)
     n_preview = len(tracked.trajectories.time_s)
     step = max(1, round((tracked.trajectories.rate_hz or 60.0) / 30.0))
-    source = folder / "source.mp4"
-    start = time.perf_counter()
-    with Ticks(-(-n_preview // step), "preview") as tick:
-        n = write_previews(
-            folder / "preview.mp4", source, view, tracked.trajectories, animation, head,
-            on_frame=tick,
-        )  # fmt: skip
-    facts["preview_frames_per_second"] = n / (time.perf_counter() - start)
-    write_report(folder, head, performance, facts)
-    source.unlink()
+    with tempfile.TemporaryDirectory() as scratch:
+        source = Path(scratch) / "source.mp4"
+        start = time.perf_counter()
+        with Ticks(-(-n_preview // step), "preview") as tick:
+            n = write_previews(
+                folder / "preview.mp4", source, view, tracked.trajectories, animation, head,
+                on_frame=tick,
+            )  # fmt: skip
+        facts["preview_frames_per_second"] = n / (time.perf_counter() - start)
+        write_report(folder, source, head, performance, facts)
     return AnimateResult(tracked, performance, facts)

@@ -61,7 +61,9 @@ def load_truth(path: Path) -> dict[str, NDArray[Any]]:
 def centre_errors(
     videos: Sequence[Path], truth: dict[str, NDArray[Any]], *, step: int = 1
 ) -> NDArray[np.float64]:
-    """Errors of dots' centres in the decoded videos, (n, 2) px, unoccluded dots only.
+    """Errors of dots' centres in the decoded videos, (n, 2) px; a row for each unoccluded dot.
+
+    NaN where no dot was found within 3 px of the true centre.
 
     Parameters
     ----------
@@ -84,12 +86,12 @@ def centre_errors(
                 true = truth["marker_pixels"][frame.index, c]
                 seen = truth["marker_visible"][frame.index, c] >= UNOCCLUDED
                 found = find_blobs(frame.image, settings).centres
-                if not len(found) or not seen.any():
-                    continue
-                d = np.linalg.norm(found[None] - true[seen][:, None], axis=2)
-                nearest = d.argmin(axis=1)
-                matched = d.min(axis=1) < _NEAR_PX
-                errors.append((found[nearest] - true[seen])[matched])
+                off = np.full((int(seen.sum()), 2), np.nan)
+                if len(found) and len(off):
+                    d = np.linalg.norm(found[None] - true[seen][:, None], axis=2)
+                    near = d.min(axis=1) < _NEAR_PX
+                    off[near] = (found[d.argmin(axis=1)] - true[seen])[near]
+                errors.append(off)
     return np.concatenate(errors)
 
 
@@ -128,7 +130,8 @@ def rotation_errors_rad(motion: HeadMotion, truth: dict[str, NDArray[Any]]) -> N
         [off[:, 2, 1] - off[:, 1, 2], off[:, 0, 2] - off[:, 2, 0], off[:, 1, 0] - off[:, 0, 1]],
         axis=1,
     )
-    return np.asarray(np.arcsin(np.clip(np.linalg.norm(twist, axis=1) / 2, 0, 1)))
+    cosine = (np.trace(off, axis1=1, axis2=2) - 1) / 2
+    return np.asarray(np.arctan2(np.linalg.norm(twist, axis=1) / 2, cosine))
 
 
 def fap_errors_percent(clip: Clip, truth: dict[str, NDArray[Any]]) -> dict[str, float]:
@@ -175,6 +178,9 @@ def evaluate(
     found_fapu = np.array(list(performance.fapu.as_dict().values()))
     found = [
         Stage("dots", "centre in the image, RMS", "px", _rms(pixels, per_point=True), 0.10),
+        Stage(
+            "dots", "unoccluded ones found", "%", 100 - float(100 * np.isnan(pixels[:, 0]).mean())
+        ),
         Stage("markers", "position in space, RMS", "mm", _rms(mm[measured]), 0.10),
         Stage("markers", "positions put into gaps, RMS", "mm", _rms(mm[~measured])),
         Stage("markers", "samples without position", "%", float(100 * np.isnan(mm).mean())),
@@ -185,7 +191,7 @@ def evaluate(
         linear = np.rad2deg(rotation_errors_rad(performance.head_motion_linear, truth))
         found.append(Stage("head", "rotation by the linear method, RMS", "°", _rms(linear)))
     off = float(100 * np.abs(found_fapu / true_fapu - 1).max())
-    median, worst = float(np.median(tracked)), max(tracked)
+    median, worst = float(np.median(tracked)), float(np.max(tracked))
     found += [
         Stage("FAPs", "units of the face, largest error", "%", off),
         Stage("FAPs", "tracked points, median RMS of used range", "%", median, 2),

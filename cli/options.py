@@ -53,35 +53,30 @@ def neutral_frame(when: str, trajectories: Trajectories) -> int:
     InputError
         If it is neither, or outside the take.
     """
-    import numpy as np
-
     text = when.strip()
     n = len(trajectories.time_s)
     try:
         if text.endswith("s"):
-            seconds = float(text[:-1])
-            last = float(trajectories.time_s[-1])
-            if not -1e-9 <= seconds <= last + 1e-9:
-                raise InputError(f"--neutral {when}: the take lasts {last:.3f} s")
-            return int(np.argmin(np.abs(trajectories.time_s - seconds)))
+            return _frame_at(when, float(text[:-1]), trajectories)
         frame = int(text)
-    except ValueError:
-        if isinstance(text, str) and not _is_number(text):
-            raise InputError(
-                f"--neutral {when}: expected a frame number (12) or seconds with an s (0.2s)"
-            ) from None
+    except InputError:  # a ValueError itself
         raise
+    except ValueError:
+        raise InputError(
+            f"--neutral {when}: expected a frame number (12) or seconds with an s (0.2s)"
+        ) from None
     if not 0 <= frame < n:
         raise InputError(f"--neutral {when}: the take has frames 0 to {n - 1}")
     return frame
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text.removesuffix("s"))
-    except ValueError:
-        return False
-    return True
+def _frame_at(when: str, seconds: float, trajectories: Trajectories) -> int:
+    import numpy as np
+
+    last = float(trajectories.time_s[-1])
+    if not -1e-9 <= seconds <= last + 1e-9:
+        raise InputError(f"--neutral {when}: the take lasts {last:.3f} s")
+    return int(np.argmin(np.abs(trajectories.time_s - seconds)))
 
 
 def find_marker_set(given: str | None, beside: Path) -> MarkerSet | None:

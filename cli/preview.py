@@ -16,7 +16,8 @@ from ..core.camera import Camera
 from ..core.rig import Rig
 from ..core.rigid import Rigid
 from ..core.trajectories import Trajectories
-from ..core.video import VideoWriter, read_frames
+from ..core.video import read_frames
+from ..core.video_writer import VideoWriter
 from ..heads.render import HeadRenderer, portrait_camera
 from ..retarget.animation import HeadAnimation
 

@@ -15,12 +15,13 @@ if TYPE_CHECKING:
 
 def write_report(
     folder: Path,
+    source: Path,
     head: str,
     performance: TrackedPerformance,
     facts: dict[str, Any],
     tables: Sequence[PageTable] = (),
 ) -> None:
-    """Write `report.html` from ``head.glb`` and ``source.mp4`` of the folder."""
+    """Write `report.html` from the folder's ``head.glb`` and a video of source and tracks."""
     measured = [
         (name.replace("_", " "), cell_text(value))
         for name, value in facts.items()
@@ -32,7 +33,7 @@ def write_report(
         folder / "report.html",
         title=f"{folder.name}: performance on head {head}",
         models=[PageModel(f"{head}, driven by FAPs", (folder / "head.glb").read_bytes())],
-        videos=[PageVideo("source and tracks", (folder / "source.mp4").read_bytes())],
+        videos=[PageVideo("source and tracks", source.read_bytes())],
         curves=performance.faps,
         tables=[
             *tables,

@@ -51,7 +51,7 @@ def track(
     ] = None,
     max_gap: Annotated[
         float, typer.Option(min=0.0, help="Longest gap that is filled, in seconds.")
-    ] = 0.2,
+    ] = 0.1,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -81,7 +81,7 @@ def run_track(
     marker_set: MarkerSet | None,
     neutral: str = "0",
     level: float | None = None,
-    max_gap_s: float = 0.2,
+    max_gap_s: float = 0.1,
 ) -> TrackResult:
     """Track, label and fill short gaps, with a progress bar."""
     import numpy as np

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -10,12 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.files import atomic_path
 from ..core.formats.markers_toml import write_marker_set
 from ..core.formats.rig_json import write_rig
 from ..core.markers import MarkerSet
 from ..core.mpeg4 import Fapu
-from ..core.video import VideoWriter
+from ..core.video_writer import VideoWriter
 from .takes import Take, Truth, take_truth
 from .views import TakeRenderer
 
@@ -57,25 +57,38 @@ def film_take(
     on_frame : callable, optional
         Told each finished frame's index.
     """
+    with tempfile.TemporaryDirectory(prefix=".filming-", dir=folder) as scratch:
+        _film(take, Path(scratch), noise, on_frame)
+        for path in sorted(Path(scratch).iterdir()):
+            path.replace(folder / path.name)
+    return FilmedTake(
+        folder,
+        folder / "rig.json",
+        folder / "markers.toml",
+        folder / "truth.npz",
+        tuple(folder / f"{name}.mp4" for name in take.rig),
+    )
+
+
+def _film(take: Take, folder: Path, noise: bool, on_frame: Callable[[int], None] | None) -> None:
     rate = 1.0 / float(take.time_s[1] - take.time_s[0])
     renderer = TakeRenderer(take)
     rng = np.random.default_rng([take.seed, 1])
     n_frames, n_cameras = len(take.time_s), len(take.rig)
     centres = np.full((n_frames, n_cameras, len(take.glue), 2), np.nan)
     visible = np.zeros((n_frames, n_cameras, len(take.glue)))
-    paths = tuple(folder / f"{name}.mp4" for name in take.rig)
     with ExitStack() as stack:
         writers = [
             stack.enter_context(
                 VideoWriter(
-                    path,
+                    folder / f"{name}.mp4",
                     camera.image_size,
                     round(rate, 3),
                     crf=CRF,
                     max_bit_rate=MAX_BIT_RATE,
                 )
             )
-            for path, camera in zip(paths, take.rig.cameras.values(), strict=True)
+            for name, camera in take.rig.cameras.items()
         ]
         for frame in range(n_frames):
             views = renderer.frame(frame, rng, noise=noise)
@@ -84,13 +97,9 @@ def film_take(
                 centres[frame, c], visible[frame, c] = view.centres, view.visible
             if on_frame is not None:
                 on_frame(frame)
-        truth_path = stack.enter_context(atomic_path(folder / "truth.npz"))
-        write_truth(truth_path, take, take_truth(take), centres, visible)
-        write_rig(folder / "rig.json", take.rig)
-        write_marker_set(folder / "markers.toml", _measured(take))
-    return FilmedTake(
-        folder, folder / "rig.json", folder / "markers.toml", folder / "truth.npz", paths
-    )
+    write_truth(folder / "truth.npz", take, take_truth(take), centres, visible)
+    write_rig(folder / "rig.json", take.rig)
+    write_marker_set(folder / "markers.toml", _measured(take))
 
 
 def _measured(take: Take) -> MarkerSet:

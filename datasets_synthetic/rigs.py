@@ -13,7 +13,7 @@ DISTANCE_MM = 750.0
 FOCAL_PX_PER_WIDTH = 1.52  # 36° across: head and its movements fill the height
 YAW_DEG = 46.0
 INNER_SHARE = 0.48  # of that: the inner cameras stand far enough out to see a temple each
-PITCH_DEG = 13.0
+LOW_DEG, HIGH_DEG = -18.0, 11.0  # under the chin and the brows; over the cheeks and the lids
 _SHARES = (-1.0, -INNER_SHARE, INNER_SHARE, 1.0)
 
 
@@ -40,7 +40,7 @@ def face_rig(
     cameras = {}
     for i, share in enumerate(np.linspace(-1, 1, n_cameras)):
         yaw = YAW_DEG * np.interp(share, (-1, -1 / 3, 1 / 3, 1), _SHARES)
-        pitch = PITCH_DEG if i % 2 else -PITCH_DEG
+        pitch = HIGH_DEG if i % 2 else LOW_DEG
         yaw_rad = np.deg2rad(yaw + rng.normal(0, 1.5))
         pitch_rad = np.deg2rad(pitch + rng.normal(0, 1.5))
         direction = np.array(

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..core.mesh import Mesh
-from .appearance import AppearanceTraits, make_appearance
+from .appearance import make_appearance
+from .appearance_traits import AppearanceTraits
 from .head import Eye, Head
 from .raycast import RayScene
 from .template import Template, load_template, template_feature_points
@@ -24,8 +25,12 @@ _EXCLUDED_LOCAL = (
     "universal", "scale-vert", "trans-forward", "trans-backward", "neck-trans",
     "mouth-angles", "mouth-dimples", "laugh-lines", "eyebrows-angle",  # they look cross or sad
 )  # fmt: skip
+#: These make sleepy lids at full strength.
+_CALM_LOCAL = ("eye-height", "eyefold", "eye-bag")
 _JAW_PIVOT_MM = (0.0, -38.0, -72.0)  # in front of the ear canal, on the template
 _NECK_PIVOT_MM = (0.0, -60.0, -85.0)  # atlanto-occipital joint, on the template
+#: The base mesh's dental arches reach into the corners of the mouth and show through them.
+_ARCH_WIDTH, _ARCH_BACK_MM = 0.86, 1.5
 _SEAL_FALLOFF_MM = 5.0
 _LIP_PRESS_MM = 0.25
 
@@ -76,6 +81,8 @@ def random_identity(rng: np.random.Generator, name: str = "someone") -> Identity
         if positive.startswith("r-") and f"l-{positive[2:]}" in template.identity_names:
             continue
         weight = float(np.clip(rng.normal(0, LOCAL_SD), -0.6, 0.6))
+        if any(word in positive for word in _CALM_LOCAL):
+            weight *= 0.5
         sides = [(positive, negative)]
         if left:
             sides.append((f"r-{positive[2:]}", f"r-{negative[2:]}"))
@@ -155,6 +162,9 @@ def make_head(identity: Identity) -> Head:
         weights[template.identity_names.index(name)] = weight
     moved = (weights @ template.identity).reshape(3, -1).T
     vertices = _sealed_lips(template, template.vertices + moved)
+    for part in ("teeth_upper", "teeth_lower"):
+        rows = template.vertices_of(part)
+        vertices[rows] = vertices[rows] * (_ARCH_WIDTH, 1, 1) - (0, 0, _ARCH_BACK_MM)
     eyes = {side: _eye(template, vertices, f"eye_{side}") for side in ("right", "left")}
     vertices = vertices - (eyes["right"].centre + eyes["left"].centre) / 2
     eyes = {side: _eye(template, vertices, f"eye_{side}") for side in ("right", "left")}
@@ -192,7 +202,7 @@ def _sealed_lips(template: Template, vertices: NDArray[np.float64]) -> NDArray[n
     scene = RayScene(vertices, skin)
     x0, x1 = at["8.4"][0], at["8.3"][0]
     middle_y = (at["2.2"][1] + at["2.3"][1]) / 2
-    xs = np.linspace(x0, x1, 41)[2:-2]
+    xs = np.linspace(x0, x1, 41)[1:-1]
     gaps, seams = [], []
     for x in xs:
         lip_z = np.interp(x, [x0, 0, x1], [at["8.4"][2], at["2.3"][2], at["8.3"][2]])

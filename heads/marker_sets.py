@@ -67,4 +67,5 @@ def _size(head: Head) -> NDArray[np.float64]:
     )
 
 
-_AVERAGE_WIDTH_MM, _AVERAGE_HEIGHT_MM, _AVERAGE_DEPTH_MM = 147.5, 228.9, 206.9
+#: Of the built-in head ``average``.
+_AVERAGE_WIDTH_MM, _AVERAGE_HEIGHT_MM, _AVERAGE_DEPTH_MM = 144.4, 209.3, 211.6

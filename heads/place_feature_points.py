@@ -21,6 +21,7 @@ from .template import Template, load_template
 
 Point = NDArray[np.float64]
 _SCAN_MM = 0.1
+_CHIN_SLOPE = 0.7  # of depth over height: still seen from the front when the jaw drops
 _LIP_BORDER = 0.9  # of the mask: where the crease between vermilion and skin lies
 
 
@@ -197,7 +198,7 @@ def _face_rules(face: _Face, rule: Callable[..., None]) -> None:
     rule("2.10", "mid-line: foremost point of the chin", lambda: boss)
     low = face.profile(boss[1], -112.0)
     slope = np.gradient(low[:, 2], low[:, 1])
-    bottom = low[np.argmax(slope > 1.2)]  # where the skin turns under
+    bottom = low[np.argmax(slope > _CHIN_SLOPE)]  # where the skin turns under
     rule("2.1", "mid-line: where the chin turns under", lambda: bottom)
     rule("2.11", "chin, left", lambda: face.front(18.0, boss[1] - 3.0))
     rule("2.13", "jaw angle", lambda: face.side(-74.0, -38.0))

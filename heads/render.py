@@ -14,46 +14,41 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from ..core.arrays import readonly
 from ..core.camera import Camera
 from ..core.errors import InputError
 from ..core.rigid import Rigid
-from .appearance import linear_from_srgb
 from .head import Head
 from .raycast import NO_HIT, RayScene
+from .shading import (
+    EYE,
+    EYE_LEFT,
+    LASH,
+    LINEAR_OF_SRGB,
+    SKIN,
+    TEETH,
+    TONGUE,
+    shade_rows,
+    vertex_normals,
+)
+from .srgb import linear_from_srgb, srgb_from_linear
+from .stage_lights import StageLights
 
 Floats = NDArray[np.float32]
 
-#: Part codes of the shading loop.
-_SKIN, _EYE, _EYE_LEFT, _LASH, _TEETH, _TONGUE = range(6)
+#: Part codes of the shading loop; all else is skin.
 _CODE = {
-    "eye_right": _EYE,
-    "eye_left": _EYE_LEFT,
-    "lashes": _LASH,
-    "teeth_upper": _TEETH,
-    "teeth_lower": _TEETH,
-    "tongue": _TONGUE,
+    "eye_right": EYE,
+    "eye_left": EYE_LEFT,
+    "lashes": LASH,
+    "teeth_upper": TEETH,
+    "teeth_lower": TEETH,
+    "tongue": TONGUE,
 }
-#: Lights of the stage: towards them (x left of the subject, y up, z out of the face), and colour.
-_KEY_TO = np.array([-0.52, 0.55, 0.80])
-_KEY_SPREAD, _KEY_RAYS = 0.30, 10
-_RIM_SPREAD, _RIM_RAYS = 0.25, 4
-_KEY_COLOUR = np.array([1.00, 0.92, 0.83]) * 2.75
-_FILL_TO = np.array([0.85, 0.10, 0.75])
-_FILL_COLOUR = np.array([0.80, 0.90, 1.00]) * 0.36
-_RIM_TO = np.array([0.80, 0.45, -0.75])
-_RIM_COLOUR = np.array([0.85, 0.93, 1.00]) * 1.5
-_SKY_COLOUR = np.array([0.94, 0.97, 1.03]) * 0.37
-_GROUND_COLOUR = np.array([1.0, 0.86, 0.78]) * 0.18
-_SKY_RAYS, _SKY_REACH_MM = 20, 70.0
-_EYE_RAYS, _EYE_REACH_MM = 14, 14.0
-_OFFSET_MM = 0.25  # rays for shadows start this far off the surface
 _LASH_LAYERS = 3
-_EXPOSURE = 1.0
-_SHOULDER = 0.5  # of white: light above is compressed
+_OUTPUT_LEVELS = 8192  # of linear light
 _PORTRAIT_DISTANCE_MM = 1400.0
 _BACKGROUND = (74, 82, 92)
 
@@ -97,12 +92,12 @@ class HeadRenderer:
             raise InputError(f"head {head.name}: its appearance's uv do not fit its mesh")
         self._uv = np.ascontiguousarray(uv, dtype=np.float32)
         self._uv_triangles = np.ascontiguousarray(uv_triangles, dtype=np.int32)
-        self._part = np.full(len(self._triangles), _SKIN, dtype=np.uint8)
+        self._part = np.full(len(self._triangles), SKIN, dtype=np.uint8)
         for name, code in _CODE.items():
-            if name in mesh.groups and (looks.eye is not None or code > _EYE_LEFT):
+            if name in mesh.groups and (looks.eye is not None or code > EYE_LEFT):
                 self._part[mesh.groups[name]] = code
         if looks.details is None:
-            self._part[self._part >= _LASH] = _SKIN
+            self._part[self._part >= LASH] = SKIN
         self._skin = _pyramid(looks.skin)
         rough = np.full((4, 4), 128, np.uint8) if looks.roughness is None else looks.roughness
         self._roughness = np.ascontiguousarray(rough)
@@ -112,16 +107,10 @@ class HeadRenderer:
             if looks.details is None
             else np.ascontiguousarray(looks.details)
         )
-        turn = np.eye(3) if stage is None else stage.rotation
-        self._lights = np.stack(
-            [turn @ (v / np.linalg.norm(v)) for v in (_KEY_TO, _FILL_TO, _RIM_TO, np.eye(3)[1])]
-        ).astype(np.float32)
-        self._key_rays = _cone(self._lights[0], _KEY_SPREAD, _KEY_RAYS)
-        self._rim_rays = _cone(self._lights[2], _RIM_SPREAD, _RIM_RAYS)
-        self._sky_rays = _sphere(_SKY_RAYS * 2)
+        self._lights = StageLights(np.eye(3) if stage is None else stage.rotation)
         self._eye_fronts = {
             code: _front_rows(self._triangles, self._uv_triangles, self._uv, self._part == code)
-            for code in (_EYE, _EYE_LEFT)
+            for code in (EYE, EYE_LEFT)
             if (self._part == code).any()
         }
         self._rays: dict[int, tuple[Camera, Floats]] = {}
@@ -137,7 +126,8 @@ class HeadRenderer:
         off = np.hypot((x - 0.5 * width) / scale, (y - 0.40 * height) / scale)
         light = 1.18 - 1.05 * off**1.4 - 0.22 * np.clip(y / height - 0.6, 0, 1)
         colour = linear_from_srgb(np.array(self._background))
-        return _encode((np.clip(light, 0.05, None) ** 1.6)[..., None] * colour.astype(np.float32))
+        light = (np.clip(light, 0.05, None) ** 1.6)[..., None] * colour.astype(np.float32)
+        return srgb_from_linear(light, n_levels=_OUTPUT_LEVELS)
 
     def render(
         self,
@@ -179,7 +169,7 @@ class HeadRenderer:
         directions = self._directions(camera, box)
         scene = RayScene(local, self._triangles)
         triangle, weights, lash = self._cast(scene, directions)
-        normals = _normals(local, self._triangles)
+        normals = vertex_normals(local, self._triangles)
         lamps, sky = self._vertex_light(scene, local, normals, triangle)
         eye_light = self._eye_light(scene, local, directions, triangle, weights)
         axes = self._eye_axes(local)
@@ -191,13 +181,13 @@ class HeadRenderer:
         arguments = (
             triangle, weights, lash, directions, self._triangles, self._uv_triangles, self._uv,
             self._part, normals, lamps, sky, eye_light, axes, self._skin[level], self._roughness,
-            self._eye, self._details, _LINEAR, self._lights, n, light, cover,
+            self._eye, self._details, LINEAR_OF_SRGB, self._lights.directions, n, light, cover,
         )  # fmt: skip
-        _in_threads(_shade, arguments, y1 - y0)
+        _in_threads(shade_rows, arguments, y1 - y0)
         behind = linear_from_srgb(picture[y0:y1, x0:x1]).astype(np.float32)
         seen = cover > 0
         mixed = light[seen] + (1 - cover[seen])[:, None] * behind[seen]
-        picture[y0:y1, x0:x1][seen] = _encode(mixed)
+        picture[y0:y1, x0:x1][seen] = srgb_from_linear(mixed, n_levels=_OUTPUT_LEVELS)
         return picture
 
     def _directions(self, camera: Camera, box: tuple[int, int, int, int]) -> Floats:
@@ -226,7 +216,7 @@ class HeadRenderer:
         hidden = np.zeros(len(flat), np.float32)
         for _ in range(_LASH_LAYERS):
             rows = np.flatnonzero(triangle != NO_HIT)
-            rows = rows[self._part[triangle[rows]] == _LASH]
+            rows = rows[self._part[triangle[rows]] == LASH]
             if not len(rows):
                 break
             alpha = self._lash_alpha(triangle[rows], weights[rows])
@@ -235,7 +225,7 @@ class HeadRenderer:
             further, triangle[rows], weights[rows] = scene.cast(start, usable[rows])
             t[rows] += 0.02 + further
         rows = np.flatnonzero(triangle != NO_HIT)
-        last = rows[self._part[triangle[rows]] == _LASH]
+        last = rows[self._part[triangle[rows]] == LASH]
         triangle[last] = NO_HIT
         return triangle.reshape(shape), weights.reshape(*shape, 2), hidden.reshape(shape)
 
@@ -254,16 +244,9 @@ class HeadRenderer:
         """Shares of key and rim light (V, 2) and sky (V,) that reach each vertex that is seen."""
         hit = np.zeros(len(self._triangles), bool)
         hit[triangle[triangle != NO_HIT]] = True
-        rows = np.unique(self._triangles[hit & (self._part != _EYE) & (self._part != _EYE_LEFT)])
+        rows = np.unique(self._triangles[hit & (self._part != EYE) & (self._part != EYE_LEFT)])
         lamps, sky = np.ones((len(local), 2), np.float32), np.ones(len(local), np.float32)
-        start, n = local[rows] + _OFFSET_MM * normals[rows], normals[rows]
-        for lamp, rays in enumerate((self._key_rays, self._rim_rays)):
-            facing = n @ rays.T > -0.25
-            blocked = _blocked(scene, start, rays, facing, np.inf)
-            lamps[rows, lamp] = 1 - blocked.sum(axis=1) / np.maximum(facing.sum(axis=1), 1)
-        cosine = np.clip(n @ self._sky_rays.T, 0, None)
-        blocked = _blocked(scene, start, self._sky_rays, cosine > 0.05, _SKY_REACH_MM)
-        sky[rows] = 1 - (blocked * cosine).sum(axis=1) / np.maximum(cosine.sum(axis=1), 1e-6)
+        lamps[rows], sky[rows] = self._lights.reaching(scene, local[rows], normals[rows])
         return lamps, sky
 
     def _eye_light(
@@ -278,7 +261,7 @@ class HeadRenderer:
         found = np.ones(triangle.shape, np.float32)
         rows = np.nonzero(triangle != NO_HIT)
         part = self._part[triangle[rows]]
-        on_eye = (part == _EYE) | (part == _EYE_LEFT)
+        on_eye = (part == EYE) | (part == EYE_LEFT)
         rows = rows[0][on_eye], rows[1][on_eye]
         if not len(rows[0]):
             return found
@@ -288,11 +271,7 @@ class HeadRenderer:
         place = np.einsum("nc,ncx->nx", b, corners)
         out = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         out /= np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-9)
-        rays = _cone(self._lights[0] + 0.64 * self._lights[3], 0.95, _EYE_RAYS)
-        start = (place + 0.1 * out).astype(np.float32)
-        facing = np.ones((len(start), len(rays)), bool)
-        blocked = _blocked(scene, start, rays, facing, _EYE_REACH_MM)
-        found[rows] = 1 - blocked.mean(axis=1)
+        found[rows] = self._lights.reaching_eyes(scene, place, out)
         return found
 
     def _eye_axes(self, local: Floats) -> Floats:
@@ -301,7 +280,7 @@ class HeadRenderer:
         for code, (ball, front) in self._eye_fronts.items():
             centre = (local[ball].min(axis=0) + local[ball].max(axis=0)) / 2
             axis = local[front].mean(axis=0) - centre
-            found[code - _EYE] = axis / np.linalg.norm(axis)
+            found[code - EYE] = axis / np.linalg.norm(axis)
         return found
 
     def _level(self, pixels_per_mm: float) -> int:
@@ -397,43 +376,6 @@ def _pyramid(picture: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
     return levels
 
 
-def _cone(axis: NDArray[Any], spread: float, count: int) -> Floats:
-    """Directions about an axis within `spread` rad, evenly (sunflower), (count, 3)."""
-    w = np.asarray(axis, dtype=np.float64) / np.linalg.norm(axis)
-    u = np.cross(w, np.eye(3)[np.argmin(np.abs(w))])
-    u /= np.linalg.norm(u)
-    i = np.arange(count)
-    radius = np.tan(spread) * np.sqrt((i + 0.5) / count)
-    turn = i * np.pi * (3 - np.sqrt(5))
-    d = w + radius[:, None] * (np.cos(turn)[:, None] * u + np.sin(turn)[:, None] * np.cross(w, u))
-    return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True), dtype=np.float32)
-
-
-def _sphere(count: int) -> Floats:
-    """Evenly spread directions (Fibonacci), (count, 3)."""
-    i = np.arange(count)
-    z = 1 - (2 * i + 1) / count
-    turn = i * np.pi * (3 - np.sqrt(5))
-    r = np.sqrt(1 - z * z)
-    return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1).astype(np.float32)
-
-
-def _blocked(
-    scene: RayScene, start: Floats, rays: Floats, wanted: NDArray[np.bool_], reach_mm: float
-) -> Floats:
-    """How much each ray (N, M) is blocked: 1 near, falling to 0 at the reach."""
-    found = np.zeros(wanted.shape, np.float32)
-    row, ray = np.nonzero(wanted)
-    if not len(row):
-        return found
-    t, *_ = scene.cast(start[row], rays[ray])
-    if np.isinf(reach_mm):
-        found[row, ray] = np.isfinite(t)
-    else:
-        found[row, ray] = np.clip(1 - np.minimum(t, reach_mm) / reach_mm, 0, 1) ** 0.8
-    return found
-
-
 def _in_threads(function: Any, arguments: tuple[Any, ...], n_rows: int) -> None:
     """Call a compiled loop over rows, which lets go of the interpreter, on all cores."""
     cores = min(os.cpu_count() or 1, 8)
@@ -442,18 +384,6 @@ def _in_threads(function: Any, arguments: tuple[Any, ...], n_rows: int) -> None:
         jobs = [pool.submit(function, *(*arguments, a, b)) for a, b in pairwise(bounds)]
         for job in jobs:
             job.result()
-
-
-_LINEAR = linear_from_srgb(np.arange(256)).astype(np.float32)
-_GRID = np.arange(8192) / 8191
-_SRGB = np.rint(
-    255 * np.where(_GRID <= 0.0031308, _GRID * 12.92, 1.055 * _GRID ** (1 / 2.4) - 0.055)
-).astype(np.uint8)
-
-
-def _encode(light: Floats) -> NDArray[np.uint8]:
-    """sRGB of linear light 0 to 1."""
-    return np.asarray(_SRGB[np.clip(light * 8191 + 0.5, 0, 8191).astype(np.int32)])
 
 
 def _front_rows(
@@ -466,202 +396,3 @@ def _front_rows(
     rows, first = np.unique(triangles[chosen], return_index=True)
     off = np.linalg.norm(uv[uv_triangles[chosen].ravel()[first]] - 0.5, axis=1)
     return rows, rows[np.argsort(off, kind="stable")[:8]]
-
-
-@njit(cache=True)
-def _normals(v, triangles):  # type: ignore[no-untyped-def]
-    """Area-weighted unit normals (V, 3)."""
-    n = np.zeros_like(v)
-    for f in range(len(triangles)):
-        a, b, c = triangles[f]
-        e0, e1, e2 = v[b, 0] - v[a, 0], v[b, 1] - v[a, 1], v[b, 2] - v[a, 2]
-        g0, g1, g2 = v[c, 0] - v[a, 0], v[c, 1] - v[a, 1], v[c, 2] - v[a, 2]
-        x, y, z = e1 * g2 - e2 * g1, e2 * g0 - e0 * g2, e0 * g1 - e1 * g0
-        for k in (a, b, c):
-            n[k, 0] += x
-            n[k, 1] += y
-            n[k, 2] += z
-    for i in range(len(n)):
-        length = np.sqrt(n[i, 0] ** 2 + n[i, 1] ** 2 + n[i, 2] ** 2)
-        if length > 0:
-            n[i] /= length
-    return n
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _texel(picture, linear, u, v, out):  # type: ignore[no-untyped-def]
-    """Bilinear lookup in linear light; v counts from the bottom."""
-    height, width = picture.shape[0], picture.shape[1]
-    x = min(max(u * width - 0.5, 0.0), width - 1.001)
-    y = min(max((1 - v) * height - 0.5, 0.0), height - 1.001)
-    i, j = int(x), int(y)
-    fx, fy = x - i, y - j
-    for c in range(3):
-        top = linear[picture[j, i, c]] * (1 - fx) + linear[picture[j, i + 1, c]] * fx
-        low = linear[picture[j + 1, i, c]] * (1 - fx) + linear[picture[j + 1, i + 1, c]] * fx
-        out[c] = top * (1 - fy) + low * fy
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _highlight(n, view, light, roughness, f0):  # type: ignore[no-untyped-def]
-    """Cook-Torrance with GGX (Walter et al. 2007), times the cosine to the light."""
-    nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
-    nv = n[0] * view[0] + n[1] * view[1] + n[2] * view[2]
-    if nl <= 0 or nv <= 0:
-        return 0.0
-    h0, h1, h2 = light[0] + view[0], light[1] + view[1], light[2] + view[2]
-    length = np.sqrt(h0 * h0 + h1 * h1 + h2 * h2)
-    nh = (n[0] * h0 + n[1] * h1 + n[2] * h2) / length
-    vh = (view[0] * h0 + view[1] * h1 + view[2] * h2) / length
-    a2 = roughness**4
-    d = nh * nh * (a2 - 1) + 1
-    k = 0.5 * roughness * roughness
-    shadow = 1 / ((nl * (1 - k) + k) * (nv * (1 - k) + k) * 4)
-    fresnel = f0 + (1 - f0) * (1 - vh) ** 5
-    return a2 / (np.pi * d * d) * shadow * fresnel * nl
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _window(n, view, light):  # type: ignore[no-untyped-def]
-    """How much of a round soft box about `light` the mirror `n` shows, 0 to 1."""
-    nv = n[0] * view[0] + n[1] * view[1] + n[2] * view[2]
-    seen = 0.0
-    for k in range(3):
-        seen += (2 * nv * n[k] - view[k]) * light[k]
-    return min(max((seen - 0.955) / 0.02, 0.0), 1.0)
-
-
-@njit(cache=True, nogil=True)
-def _shade(  # type: ignore[no-untyped-def]
-    triangle, weights, lash, directions, triangles, uv_triangles, uv, part, normals, lamps, sky,
-    eye_light, axes, skin, roughness, eye, details, linear, lights, n_side, light_out, cover_out,
-    first_row, last_row,
-):  # fmt: skip
-    """Light (premultiplied) and coverage of rows of pixels."""
-    albedo, n = np.zeros(3, np.float32), np.zeros(3, np.float32)
-    view, shine = np.zeros(3, np.float32), np.zeros(3, np.float32)
-    lash_colour = np.zeros(3, np.float32)
-    _texel(details[:, :, :3], linear, 0.5, 0.1, lash_colour)
-    for y in range(first_row, last_row):
-        for x in range(light_out.shape[1]):
-            sum0, sum1, sum2, cover = 0.0, 0.0, 0.0, 0.0
-            for s in range(n_side * n_side):
-                j, i = y * n_side + s // n_side, x * n_side + s % n_side
-                hidden = lash[j, i]
-                f = triangle[j, i]
-                if f == 4294967295:
-                    cover += hidden
-                    sum0 += hidden * lash_colour[0]
-                    sum1 += hidden * lash_colour[1]
-                    sum2 += hidden * lash_colour[2]
-                    continue
-                w1, w2 = weights[j, i, 0], weights[j, i, 1]
-                w0 = 1 - w1 - w2
-                a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
-                ta, tb, tc = uv_triangles[f, 0], uv_triangles[f, 1], uv_triangles[f, 2]
-                u = w0 * uv[ta, 0] + w1 * uv[tb, 0] + w2 * uv[tc, 0]
-                v = w0 * uv[ta, 1] + w1 * uv[tb, 1] + w2 * uv[tc, 1]
-                length = 0.0
-                for k in range(3):
-                    n[k] = w0 * normals[a, k] + w1 * normals[b, k] + w2 * normals[c, k]
-                    view[k] = -directions[j, i, k]
-                    length += n[k] * n[k]
-                length = np.sqrt(max(length, 1e-12))
-                for k in range(3):
-                    n[k] /= length
-                nv = n[0] * view[0] + n[1] * view[1] + n[2] * view[2]
-                kind = part[f]
-                # rounded barycentric weights may be just below 0, and powers are taken below
-                lit = max(w0 * lamps[a, 0] + w1 * lamps[b, 0] + w2 * lamps[c, 0], 0.0)
-                rim_lit = max(w0 * lamps[a, 1] + w1 * lamps[b, 1] + w2 * lamps[c, 1], 0.0)
-                open_ = max(w0 * sky[a] + w1 * sky[b] + w2 * sky[c], 0.0)
-                wrap_r, wrap_gb, f0, rough, gain = 0.30, 0.12, 0.028, 0.5, 1.0
-                if kind == _SKIN:
-                    _texel(skin, linear, u, v, albedo)
-                    rx = min(int(u * roughness.shape[1]), roughness.shape[1] - 1)
-                    ry = min(int((1 - v) * roughness.shape[0]), roughness.shape[0] - 1)
-                    rough = roughness[max(ry, 0), max(rx, 0)] / 255.0
-                    gain = 1.0 - 0.6 * max(rough - 0.6, 0.0) / 0.4
-                elif kind <= _EYE_LEFT:
-                    _texel(eye, linear, u, v, albedo)
-                    lit = eye_light[j, i]
-                    lit = 0.18 + 0.82 * lit * lit
-                    open_ = lit
-                    wrap_r, wrap_gb, f0, rough = 0.35, 0.30, 0.03, 0.10
-                else:
-                    _texel(details[:, :, :3], linear, u, v, albedo)
-                    wrap_r, wrap_gb, f0, rough = 0.35, 0.25, 0.04, 0.28
-                    if kind == _TEETH:
-                        lit *= np.sqrt(open_)
-                if nv < 0 and kind == _SKIN:  # the inside of the cut neck
-                    albedo[0] *= 0.05
-                    albedo[1] *= 0.05
-                    albedo[2] *= 0.05
-                lit_r = lit**0.75  # blood carries red light into the shadow
-                nk = n[0] * lights[0, 0] + n[1] * lights[0, 1] + n[2] * lights[0, 2]
-                nf = n[0] * lights[1, 0] + n[1] * lights[1, 1] + n[2] * lights[1, 2]
-                nr = n[0] * lights[2, 0] + n[1] * lights[2, 1] + n[2] * lights[2, 2]
-                up = n[0] * lights[3, 0] + n[1] * lights[3, 1] + n[2] * lights[3, 2]
-                key_r = max(0.0, (nk + wrap_r) / (1 + wrap_r)) * lit_r
-                key_g = max(0.0, (nk + wrap_gb) / (1 + wrap_gb)) * lit
-                fill = max(0.0, (nf + 0.3) / 1.3) * open_
-                rim = max(0.0, nr) * rim_lit * (1 - min(max(nv, 0.0), 1.0)) ** 1.5
-                sky_share = 0.5 + 0.5 * up
-                # light that bounces within a hollow takes the skin's colour (Jimenez et al. 2016)
-                for k in range(3):
-                    shade = open_
-                    if kind == _SKIN or kind > _EYE_LEFT:
-                        q = albedo[k]
-                        bounce = ((2.0404 * q - 0.3324) * open_ - 4.7951 * q + 0.6417) * open_
-                        shade = max(open_, (bounce + 2.7552 * q + 0.6903) * open_)
-                    around = (
-                        _SKY_COLOUR[k] * sky_share + _GROUND_COLOUR[k] * (1 - sky_share)
-                    ) * shade
-                    direct = _KEY_COLOUR[k] * (key_r if k == 0 else key_g)
-                    direct += _FILL_COLOUR[k] * fill + _RIM_COLOUR[k] * rim
-                    shine[k] = albedo[k] * (direct * 0.3183 * 1.15 + around)
-                if kind in (_EYE, _EYE_LEFT):
-                    # the cornea bulges: its normal turns faster than the ball's
-                    axis = axes[kind - _EYE]
-                    turn = 0.0
-                    for k in range(3):
-                        turn += n[k] * axis[k]
-                    dome = min(max((turn - 0.86) / 0.06, 0.0), 1.0)
-                    length = 0.0
-                    for k in range(3):
-                        n[k] = axis[k] + (n[k] - axis[k]) * (1 + 0.75 * dome)
-                        length += n[k] * n[k]
-                    for k in range(3):
-                        n[k] /= np.sqrt(length)
-                    glint = _window(n, view, lights[0]) * dome * lit
-                    wet = _highlight(n, view, lights[0], 0.20, 0.03) * lit * (1 - dome) * 0.5
-                    flare = _highlight(n, view, lights[1], 0.22, 0.03) * lit
-                    for k in range(3):
-                        shine[k] += 0.85 * glint + _KEY_COLOUR[k] * wet + _FILL_COLOUR[k] * flare
-                else:
-                    first = _highlight(n, view, lights[0], rough, f0) * lit
-                    second = _highlight(n, view, lights[1], rough, f0) * open_ * open_
-                    third = _highlight(n, view, lights[2], rough, f0) * rim_lit * 0.8
-                    for k in range(3):
-                        shine[k] += gain * (
-                            _KEY_COLOUR[k] * first
-                            + _FILL_COLOUR[k] * second
-                            + _RIM_COLOUR[k] * third
-                        )
-                    edge = (1 - min(max(nv, 0.0), 1.0)) ** 4 * 0.06 * open_ * gain
-                    for k in range(3):
-                        shine[k] += _SKY_COLOUR[k] * edge
-                for k in range(3):
-                    q = shine[k] * _EXPOSURE
-                    if q > _SHOULDER:  # nothing clips hard
-                        q = 1 - (1 - _SHOULDER) * np.exp((_SHOULDER - q) / (1 - _SHOULDER))
-                    shine[k] = q * (1 - hidden) + hidden * lash_colour[k]
-                sum0 += shine[0]
-                sum1 += shine[1]
-                sum2 += shine[2]
-                cover += 1.0
-            count = n_side * n_side
-            light_out[y, x, 0] = sum0 / count
-            light_out[y, x, 1] = sum1 / count
-            light_out[y, x, 2] = sum2 / count
-            cover_out[y, x] = cover / count

@@ -13,7 +13,7 @@ from ..core.audio import Audio
 from ..core.camera import Camera
 from ..core.errors import InputError
 from ..core.rigid import Rigid
-from ..core.video import VideoWriter
+from ..core.video_writer import VideoWriter
 from ..heads.head import Head
 from ..heads.render import HeadRenderer, portrait_camera
 from .animation import HeadAnimation

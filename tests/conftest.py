@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from facewright.datasets_synthetic.film import FilmedTake, film_take
+from facewright.datasets_synthetic.takes import Take, make_take
+from facewright.heads.appearance import Appearance
+from facewright.heads.head import Head
+from facewright.heads.identity import Identity, make_head, random_identity
+
 _REPOSITORY = Path(__file__).resolve().parents[1]
+_FILMING_S = 300.0
 
 
 @pytest.fixture(scope="session")
@@ -22,3 +33,72 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real recordings are not on this machine (expected in {folder})")
     return folder
+
+
+@contextmanager
+def plain_looks() -> Iterator[None]:
+    """Heads made in this block are grey: painting takes a second each, and geometry no paint."""
+    grey = Appearance(np.full((4, 4, 3), 128, np.uint8))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("facewright.heads.identity.make_appearance", lambda *_: grey)
+        yield
+
+
+@pytest.fixture(scope="session")
+def average_head() -> Head:
+    """The average head, unpainted."""
+    with plain_looks():
+        return make_head(Identity("average"))
+
+
+@pytest.fixture(scope="session")
+def people() -> tuple[Head, ...]:
+    """Thirty random adults, unpainted."""
+    with plain_looks():
+        return tuple(
+            make_head(random_identity(np.random.default_rng(seed), f"person {seed}"))
+            for seed in range(100, 130)
+        )
+
+
+@pytest.fixture(scope="session")
+def make_plain_take() -> Callable[..., Take]:
+    """`make_take` with an unpainted actor."""
+
+    def make(seed: int, *, seconds: float, rate_hz: float = 60.0) -> Take:
+        with plain_looks():
+            return make_take(seed, seconds=seconds, rate_hz=rate_hz)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def short_take(make_plain_take: Callable[..., Take]) -> Take:
+    """Half a second: 0.3 s of rest, then the performance begins."""
+    return make_plain_take(3, seconds=0.5)
+
+
+@pytest.fixture(scope="session")
+def filmed_take(short_take: Take, tmp_path_factory: pytest.TempPathFactory) -> FilmedTake:
+    """`short_take` filmed by its four cameras, once for all workers."""
+    base = tmp_path_factory.getbasetemp()
+    # a worker's folder lies in the run's own, which the workers share
+    folder = (base.parent if base.name.startswith("popen-") else base) / "filmed_take"
+    done = folder / "done"
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        end = time.monotonic() + _FILMING_S
+        while not done.exists():
+            assert time.monotonic() < end, "the other worker did not finish filming"
+            time.sleep(0.1)
+    else:
+        film_take(short_take, folder)
+        done.touch()
+    return FilmedTake(
+        folder,
+        folder / "rig.json",
+        folder / "markers.toml",
+        folder / "truth.npz",
+        tuple(folder / f"{name}.mp4" for name in short_take.rig),
+    )

@@ -37,7 +37,7 @@ class BlobSettings:
     """
 
     level: float
-    min_area_px: int = 4
+    min_area_px: int = 7
     max_area_px: int = 2500
 
 

@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 from ..core.trajectories import Trajectories
 
-DEFAULT_MAX_GAP_S = 0.2
+DEFAULT_MAX_GAP_S = 0.1  # speech turns round in less than twice that
 _SUPPORT = 8  # samples on each side that shape the curve
 
 

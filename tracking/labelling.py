@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
+from ..core.arrays import readonly
 from ..core.errors import InputError
 from ..core.markers import MarkerSet
 from ..core.trajectories import Trajectories
@@ -22,6 +24,9 @@ _AFFINE_ROUNDS = 4
 _MISSING_MM = 18.0  # what it costs to leave a marker unmatched, mm of distance
 #: The fit must be this good on average, after an affine adaptation to the person.
 MAX_MEAN_DISTANCE_MM = 9.0
+_SCALES = (0.6, 1.6)  # of a face against the average one
+_NEUTRAL_WINDOW = 10  # frames; the face is still around the neutral one
+_SAME_PLACE_MM = 3.0  # no two markers of a still face are this close
 _REACQUIRE_MM = 6.0
 MIN_LABELLED = 6
 
@@ -48,10 +53,13 @@ class Labelling:
     translation: NDArray[np.float64]
 
 
+@cache
 def template_positions(marker_set: MarkerSet) -> NDArray[np.float64]:
-    """Where a set's markers sit on the average head, (M, 3) mm, head frame."""
+    """Where a set's markers sit on the average head, (M, 3) mm, head frame; read-only."""
     head = make_head(Identity("average"))
-    return glue_markers(head, marker_set).at(head.mesh.vertices)
+    return readonly(
+        glue_markers(head, marker_set).at(head.mesh.vertices), (None, 3), "template positions"
+    )
 
 
 def label_constellation(points: NDArray[np.float64], marker_set: MarkerSet) -> Labelling:
@@ -88,12 +96,15 @@ def label_constellation(points: NDArray[np.float64], marker_set: MarkerSet) -> L
     _, rows, columns = best
     rows, columns, distance = _refine(template, points, rows, columns)
     mean = float(distance.mean()) if len(distance) else np.inf
-    if mean > MAX_MEAN_DISTANCE_MM or len(rows) < MIN_LABELLED:
+    fits = len(rows) >= MIN_LABELLED and mean <= MAX_MEAN_DISTANCE_MM
+    if fits:
+        s, R, t = fit_similarity(template[rows], points[columns])
+        fits = _SCALES[0] <= s <= _SCALES[1]  # False for NaN: points in one place or on a line
+    if not fits:
         raise InputError(
             f"the markers of the neutral frame do not look like marker set {marker_set.name}: "
             f"{len(rows)} of {len(marker_set.markers)} fit, {mean:.1f} mm off on average"
         )
-    s, R, t = fit_similarity(template[rows], points[columns])
     labels = {marker_set.labels[m]: int(n) for m, n in zip(rows, columns, strict=True)}
     return Labelling(labels, mean, s, R, t)
 
@@ -129,6 +140,8 @@ def _align(
         if len(rows) < 4:
             break
         s, R, t = fit_similarity(template[rows], points[columns])
+        if np.isnan(R).any():  # the pairs lie on a line
+            break
         s = float(np.clip(s, 0.7, 1.4))
         t = points[columns].mean(axis=0) - s * R @ template[rows].mean(axis=0)
         new_rows, new_columns, new_cost = _assign(s * template @ R.T + t, points)
@@ -164,7 +177,8 @@ def label_tracks(
 ) -> tuple[Trajectories, Labelling]:
     """Give unlabelled tracks the names of a marker set.
 
-    Tracks alive at the neutral frame are named by their constellation. A track that begins later
+    Tracks alive at the neutral frame, or within 10 frames of it, are named by their constellation.
+    A track that begins later
     (or ended earlier) continues a marker that is missing then: the head's rigid motion, from all
     markers named so far, carries it to the neutral head, where it must lie within 6 mm of the
     place at which a missing marker was last or next seen; the nearest wins. Others are left out.
@@ -178,11 +192,13 @@ def label_tracks(
     if not -T <= neutral_frame < T:
         raise InputError(f"the neutral frame {neutral_frame} is outside the take of {T} frames")
     seen = ~np.isnan(tracks.positions[..., 0])
-    alive = np.flatnonzero(seen[neutral_frame])
-    labelling = label_constellation(tracks.positions[neutral_frame, alive], marker_set)
+    nearest = _nearest_frames(seen, neutral_frame % T)
+    alive = np.flatnonzero(np.abs(nearest - neutral_frame % T) <= _NEUTRAL_WINDOW)
+    alive = _without_pieces(tracks.positions, nearest, alive, neutral_frame % T)
+    labelling = label_constellation(tracks.positions[nearest[alive], alive], marker_set)
     owner = {label: [int(alive[i])] for label, i in labelling.track_of_label.items()}
     taken = {rows[0] for rows in owner.values()}
-    neutral = {label: tracks.positions[neutral_frame, rows[0]] for label, rows in owner.items()}
+    neutral = {n: tracks.positions[nearest[rows[0]], rows[0]] for n, rows in owner.items()}
     starts = seen.argmax(axis=0)
     order = sorted(
         set(range(len(tracks.names))) - taken, key=lambda m: abs(starts[m] - neutral_frame)
@@ -200,6 +216,27 @@ def label_tracks(
         labelling.translation,
     )
     return _merge(tracks, owner, marker_set), labelling
+
+
+def _nearest_frames(seen: NDArray[np.bool_], frame: int) -> NDArray[np.int64]:
+    """For each track, (M,), its frame nearest to one; every track is seen at some time."""
+    distance = np.where(seen, np.abs(np.arange(len(seen)) - frame)[:, None], len(seen))
+    return np.asarray(distance.argmin(axis=0))
+
+
+def _without_pieces(
+    positions: NDArray[np.float64],
+    nearest: NDArray[np.int64],
+    alive: NDArray[np.int64],
+    frame: int,
+) -> NDArray[np.int64]:
+    """Of several tracks in one place, pieces of one marker's, the one nearest to the frame."""
+    kept: list[int] = []
+    for m in sorted(alive, key=lambda m: abs(int(nearest[m]) - frame)):
+        here = positions[nearest[m], m]
+        if all(np.linalg.norm(positions[nearest[k], k] - here) >= _SAME_PLACE_MM for k in kept):
+            kept.append(int(m))
+    return np.array(sorted(kept), dtype=np.int64)
 
 
 def _continued_marker(

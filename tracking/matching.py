@@ -11,6 +11,7 @@ from .triangulation import MIN_VIEWS, Points, Views, triangulate
 
 #: A match of two views only is kept if no other match of either dot comes near this fit.
 _AMBIGUITY = 3.0
+_MIN_FACE, _REACH = 6, 2.0  # so many markers tell where the face is; so far may others lie
 
 
 def match_views(
@@ -24,9 +25,10 @@ def match_views(
 
     Every pair of dots of two cameras whose rays pass within the tolerance is a hypothesis: its
     point is projected into all other cameras, whose nearest dots within the tolerance support it.
-    Hypotheses are taken in order of support, then of residual; each dot serves once. A hypothesis
-    seen by two cameras only must have no rival of similar residual, since on a face full of dots
-    two epipolar lines often cross by chance.
+    Hypotheses are taken in order of support, then of residual; each dot serves once. Since on a
+    face full of dots two epipolar lines often cross by chance, a hypothesis seen by two cameras
+    only must lie among the others, and have no rival of similar residual, or be the only one for
+    one of its dots.
 
     Parameters
     ----------
@@ -50,29 +52,75 @@ def match_views(
         return np.zeros((0, C), np.int64), _no_points(C)
     sd = None if sd_px is None else _gather(sd_px, hypotheses)
     points = triangulate(views, _gather(detections, hypotheses), sd, tolerance_px=tolerance_px)
-    hypotheses = np.where(points.used, hypotheses, -1)
+    hypotheses, first = np.unique(np.where(points.used, hypotheses, -1), axis=0, return_index=True)
+    points = points.select(first)
     support = points.used.sum(axis=1)
     order = np.lexsort((points.residual_px, -support))
     taken = [np.zeros(len(d), bool) for d in detections]
     chosen: list[int] = []
-    for h in order:
-        row = hypotheses[h]
-        seen = np.flatnonzero(row >= 0)
-        if support[h] < MIN_VIEWS or any(taken[c][row[c]] for c in seen):
-            continue
-        if support[h] == MIN_VIEWS and _has_rival(h, hypotheses, points, taken):
-            continue
-        for c in seen:
-            taken[c][row[c]] = True
-        chosen.append(int(h))
+
+    def take(h: int) -> None:
+        for c in np.flatnonzero(hypotheses[h] >= 0):
+            taken[c][hypotheses[h, c]] = True
+        chosen.append(h)
+
+    for h in order[support[order] > MIN_VIEWS]:
+        if _is_free(hypotheses[h], taken):
+            take(int(h))
+    pairs = order[(support[order] == MIN_VIEWS) & _plausible(points, chosen)[order]]
+    while True:
+        free = [int(h) for h in pairs if _is_free(hypotheses[h], taken)]
+        sure = [h for h in free if not _has_rival(h, free, hypotheses, points)]
+        sure = sure or _forced(free, hypotheses, points)
+        if not sure:
+            break
+        for h in sure:
+            if _is_free(hypotheses[h], taken):
+                take(h)
     keep = np.array(chosen, dtype=np.int64)
-    return hypotheses[keep], Points(
-        points.positions[keep],
-        points.information[keep],
-        points.misfit[keep],
-        points.residual_px[keep],
-        points.used[keep],
+    return hypotheses[keep], points.select(keep)
+
+
+def _is_free(row: NDArray[np.int64], taken: list[NDArray[np.bool_]]) -> bool:
+    return not any(taken[c][row[c]] for c in np.flatnonzero(row >= 0))
+
+
+def _plausible(points: Points, chosen: list[int]) -> NDArray[np.bool_]:
+    """(H,) whether points lie among those that three or more cameras agree on (all, if few do).
+
+    Two rays that cross by chance often do so far from the face.
+    """
+    if len(chosen) < _MIN_FACE:
+        return np.ones(len(points.positions), bool)
+    face = points.positions[chosen]
+    middle = np.median(face, axis=0)
+    reach = _REACH * np.linalg.norm(face - middle, axis=1).max()
+    return np.asarray(np.linalg.norm(points.positions - middle, axis=1) < reach)
+
+
+def _has_rival(h: int, free: list[int], hypotheses: NDArray[np.int64], points: Points) -> bool:
+    """Whether another free hypothesis claims one of h's dots about as well."""
+    limit = _AMBIGUITY * max(float(points.residual_px[h]), 0.1)
+    return any(
+        other != h
+        and ((hypotheses[other] == hypotheses[h]) & (hypotheses[h] >= 0)).any()
+        and points.residual_px[other] < limit
+        for other in free
     )
+
+
+def _forced(free: list[int], hypotheses: NDArray[np.int64], points: Points) -> list[int]:
+    """Hypotheses that are the only one for a dot, and whose rivals are not.
+
+    Of dots of a symmetrical face before a symmetrical rig, a left one and a right one may cross by
+    chance; but then each has its true partner too, which nothing else claims.
+    """
+    claims: dict[tuple[int, int], list[int]] = {}
+    for h in free:
+        for c in np.flatnonzero(hypotheses[h] >= 0):
+            claims.setdefault((int(c), int(hypotheses[h, c])), []).append(h)
+    only = sorted({rows[0] for rows in claims.values() if len(rows) == 1})
+    return [h for h in only if not _has_rival(h, only, hypotheses, points)]
 
 
 def _hypotheses(
@@ -133,22 +181,6 @@ def _gather(
         seen = rows[:, c] >= 0
         xy[seen, c] = d[rows[seen, c]]
     return xy
-
-
-def _has_rival(
-    h: np.int64, hypotheses: NDArray[np.int64], points: Points, taken: list[NDArray[np.bool_]]
-) -> bool:
-    """Whether another hypothesis of still free dots claims one of h's dots about as well."""
-    row = hypotheses[h]
-    shares = ((hypotheses == row) & (row >= 0)).any(axis=1)
-    shares[h] = False
-    for other in np.flatnonzero(shares):
-        seen = np.flatnonzero(hypotheses[other] >= 0)
-        if len(seen) < MIN_VIEWS or any(taken[c][hypotheses[other][c]] for c in seen):
-            continue
-        if points.residual_px[other] < _AMBIGUITY * max(points.residual_px[h], 0.1):
-            return True
-    return False
 
 
 def _no_points(C: int) -> Points:

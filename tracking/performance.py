@@ -154,6 +154,12 @@ def _only_set(trajectories: Trajectories, marker_set: MarkerSet) -> Trajectories
             f"none of the trajectories' names ({', '.join(trajectories.names[:4])}, …) is a label "
             f"of marker set {marker_set.name} ({', '.join(marker_set.labels[:4])}, …)"
         )
+    absent = [label for label in marker_set.head_labels if label not in known]
+    if absent:
+        raise InputError(
+            f"no trajectory is named {' or '.join(absent)}, which marker set {marker_set.name} "
+            "needs for the head's motion"
+        )
     positions = np.full((T, len(marker_set.labels), 3), np.nan)
     filled = np.zeros((T, len(marker_set.labels)), bool)
     assert trajectories.is_filled is not None
@@ -167,23 +173,20 @@ def _only_set(trajectories: Trajectories, marker_set: MarkerSet) -> Trajectories
 
 def _neutral(trajectories: Trajectories, marker_set: MarkerSet, frame: int, axes: str) -> Neutral:
     p = trajectories.positions
-    missing = [
-        label for label in marker_set.head_labels if np.isnan(p[frame, _row(marker_set, label), 0])
-    ]
+    frames = _still_frames(p, frame)
+    mean = np.array([_mean_known(p[frames, m]) for m in range(p.shape[1])])
+    unseen = {label for label, q in zip(marker_set.labels, mean, strict=True) if np.isnan(q[0])}
+    missing = [label for label in marker_set.head_labels if label in unseen]
     if missing:
         raise InputError(
             f"head markers {', '.join(missing)} are not visible in the neutral frame {frame}: "
             "choose another one with --neutral"
         )
-    face = [i for i, m in enumerate(marker_set.markers) if not m.is_rigid]
-    if np.isnan(p[frame, face, 0]).all():
+    if unseen >= set(marker_set.label_by_feature_point.values()):
         raise InputError(
             f"no face markers are visible in the neutral frame {frame}: choose another one with "
             "--neutral"
         )
-    frames = _still_frames(p, frame)
-    with np.errstate(invalid="ignore"):
-        mean = np.array([_mean_known(p[frames, m]) for m in range(p.shape[1])])
     R, t, angle = _head_axes(mean, marker_set)
     if axes not in ("auto", "world", "face"):
         raise ValueError(f'axes must be "auto", "world" or "face", not {axes!r}')

@@ -38,7 +38,7 @@ def fit_rigid(
         p, g = source[known], q[known]
         pc, gc = p.mean(axis=0), g.mean(axis=0)
         U, S, Vt = np.linalg.svd((g - gc).T @ (p - pc))
-        if S[1] < _COLLINEAR * S[0]:
+        if not S[1] > _COLLINEAR * S[0]:  # of points all in one place, both are 0
             continue
         D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
         R[i] = U @ D @ Vt

@@ -18,6 +18,9 @@ from .triangulation import Points, Views, triangulate
 #: A track not seen for this many frames ends; a marker that comes back begins a new one.
 MAX_COAST = 6
 MIN_TRACK_FRAMES = 4  # shorter ones are ghosts
+_CLOSE_GATE_PX = 3.0  # around the projection of a point already found
+_SAME_MM = 1.5  # no two dots are this close
+_REVIVE_MM = 8.0  # a marker found anew this near to a missed track is that track's
 _MIN_SCALE = 1e-4  # of the dots' variances; noise-free footage leaves no residuals
 
 
@@ -78,6 +81,7 @@ class _Track:
     residual: list[float] = field(default_factory=list)
     n_views: list[int] = field(default_factory=list)
     unseen: int = 0
+    seen_at: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     last: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
@@ -87,14 +91,27 @@ class _Track:
     def see(self, points: Points, row: int) -> None:
         p = points.positions[row]
         if self.positions:
-            step = (p - self.last) / (self.unseen + 1)
+            step = (p - self.seen_at) / (self.unseen + 1)
             self.velocity = step if len(self.positions) == 1 else 0.3 * self.velocity + 0.7 * step
-        self.last, self.unseen = p, 0
+        self.last, self.seen_at, self.unseen = p, p, 0
         self.positions.append(p)
         self.information.append(points.information[row])
         self.misfit.append(float(points.misfit[row]))
         self.residual.append(float(points.residual_px[row]))
         self.n_views.append(int(points.used[row].sum()))
+
+    def revive(self, points: Points, row: int) -> None:
+        """See after all what was missed in this frame."""
+        for record in (
+            self.positions, self.information, self.misfit, self.residual, self.n_views,
+        ):  # fmt: skip
+            record.pop()
+        self.unseen -= 1
+        self.see(points, row)
+
+    def distance_mm(self, p: NDArray[np.float64]) -> float:
+        """From where it should be, or from where it was last seen: lips turn round in a frame."""
+        return float(min(np.linalg.norm(p - self.last), np.linalg.norm(p - self.seen_at)))
 
     def miss(self) -> None:
         self.unseen += 1
@@ -107,9 +124,26 @@ class _Track:
         self.n_views.append(0)
 
 
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What the tracker found.
+
+    Attributes
+    ----------
+    trajectories : Trajectories
+        Unlabelled.
+    share_used : (C,) float64
+        Of each camera's dots, how many belong to a marker that another camera sees too; NaN for a
+        camera without dots.
+    """
+
+    trajectories: Trajectories
+    share_used: NDArray[np.float64]
+
+
 def follow_markers(
     rig: Rig, frames: Iterable[FrameDots], settings: TrackerSettings | None = None
-) -> Trajectories:
+) -> Followed:
     """Track all markers, unlabelled: one name each for as long as it is followed.
 
     Each frame: predict every track by constant velocity, assign dots to predictions camera by
@@ -125,7 +159,7 @@ def follow_markers(
 
     Returns
     -------
-    Trajectories
+    Followed
         Names ``m000``, ``m001``, …; covariances scaled by the residuals found.
     """
     settings = settings or TrackerSettings()
@@ -135,16 +169,21 @@ def follow_markers(
     live: list[_Track] = []
     done: list[_Track] = []
     times: list[float] = []
+    n_dots, n_free = (np.zeros(len(cameras), dtype=np.int64) for _ in range(2))
     for index, frame in enumerate(frames):
         times.append(frame.time_s)
         free = _continue_tracks(views, live, frame, settings.gate_px, tolerance)
-        _begin_tracks(views, live, free, index, tolerance)
+        begun = _begin_tracks(views, live, free, index, tolerance)
+        n_dots += [len(d) for d in frame.centres]
+        n_free += [len(d) for d in free.centres]
+        n_free -= begun
         ended = [t for t in live if t.unseen > MAX_COAST]
         done += ended
         live = [t for t in live if t.unseen <= MAX_COAST]
     tracks = [t for t in done + live if np.count_nonzero(t.n_views) >= MIN_TRACK_FRAMES]
     tracks.sort(key=lambda t: t.start)
-    return _assemble(tracks, np.array(times))
+    share = np.divide(n_dots - n_free, n_dots, out=np.full(len(cameras), np.nan), where=n_dots > 0)
+    return Followed(_assemble(tracks, np.array(times)), share)
 
 
 def _continue_tracks(
@@ -154,29 +193,20 @@ def _continue_tracks(
     gate_px: float,
     tolerance: _Tolerance,
 ) -> FrameDots:
-    """Extend or miss every live track; return the dots that none took."""
-    dots = frame.centres
-    C = len(dots)
+    """Extend or miss every live track; return the dots that none took.
+
+    Dots are assigned twice: to predictions, and then, much closer, to where the points found by
+    that project; a camera whose dot lay outside the first gate is won back.
+    """
     if not live:
         return frame
     predicted = np.stack([t.predict() for t in live])
-    xy = np.full((len(live), C, 2), np.nan)
-    sd = np.full((len(live), C), np.nan)
-    chosen = np.full((len(live), C), -1)
-    for c in range(C):
-        if not len(dots[c]):
-            continue
-        pixel = views.cameras[c].project(predicted)
-        d = np.linalg.norm(pixel[:, None] - dots[c][None], axis=2)
-        d = np.where(np.isfinite(d), np.minimum(d, gate_px), gate_px)
-        rows, columns = linear_sum_assignment(d)
-        near = d[rows, columns] < gate_px
-        chosen[rows[near], c] = columns[near]
-        xy[rows[near], c] = views.cameras[c].undistort(dots[c][columns[near]])
-        sd[rows[near], c] = frame.sd_px[c][columns[near]]
-    points = triangulate(views, xy, sd, tolerance_px=tolerance.px)
+    points, _ = _assign(views, predicted, frame, gate_px, tolerance)
+    found = np.where(np.isnan(points.positions), predicted, points.positions)
+    gate = np.where(np.isnan(points.positions[:, 0]), gate_px, _CLOSE_GATE_PX)
+    points, chosen = _assign(views, found, frame, gate, tolerance)
     tolerance.learn(points)
-    used = [np.zeros(len(d), bool) for d in dots]
+    used = [np.zeros(len(d), bool) for d in frame.centres]
     for row, track in enumerate(live):
         if points.used[row].any():
             track.see(points, row)
@@ -188,9 +218,39 @@ def _continue_tracks(
             track.miss()
     return FrameDots(
         frame.time_s,
-        tuple(d[~u] for d, u in zip(dots, used, strict=True)),
+        tuple(d[~u] for d, u in zip(frame.centres, used, strict=True)),
         tuple(d[~u] for d, u in zip(frame.sd_px, used, strict=True)),
     )
+
+
+def _assign(
+    views: Views,
+    expected: NDArray[np.float64],
+    frame: FrameDots,
+    gate_px: float | NDArray[np.float64],
+    tolerance: _Tolerance,
+) -> tuple[Points, NDArray[np.int64]]:
+    """Nearest dots of expected places, one to one in each camera, and the points they make.
+
+    Returns the points and (N, C) indices of the dots, −1 where none lies within the gate.
+    """
+    N, C = len(expected), len(frame.centres)
+    gate = np.broadcast_to(np.asarray(gate_px, dtype=np.float64), N)
+    xy, sd = np.full((N, C, 2), np.nan), np.full((N, C), np.nan)
+    chosen = np.full((N, C), -1, dtype=np.int64)
+    for c, dots in enumerate(frame.centres):
+        if not len(dots):
+            continue
+        pixel = views.cameras[c].project(expected)
+        d = np.linalg.norm(pixel[:, None] - dots[None], axis=2)
+        d = np.where(d < gate[:, None], d, gate[:, None])  # also where NaN
+        rows, columns = linear_sum_assignment(d)
+        near = d[rows, columns] < gate[rows]
+        rows, columns = rows[near], columns[near]
+        chosen[rows, c] = columns
+        xy[rows, c] = views.cameras[c].undistort(dots[columns])
+        sd[rows, c] = frame.sd_px[c][columns]
+    return triangulate(views, xy, sd, tolerance_px=tolerance.px), chosen
 
 
 def _begin_tracks(
@@ -199,15 +259,33 @@ def _begin_tracks(
     dots: FrameDots,
     frame: int,
     tolerance: _Tolerance,
-) -> None:
+) -> NDArray[np.int64]:
+    """Markers among the dots that no track took: missed tracks go on there, others begin.
+
+    Returns how many dots of each camera they use.
+    """
     if sum(len(d) > 0 for d in dots.centres) < 2:
-        return
+        return np.zeros(len(dots.centres), np.int64)
     normalised = [views.cameras[c].undistort(d) for c, d in enumerate(dots.centres)]
-    _, points = match_views(views, normalised, dots.sd_px, tolerance_px=tolerance.px)
-    for row in range(len(points.positions)):
+    rows, points = match_views(views, normalised, dots.sd_px, tolerance_px=tolerance.px)
+    followed = np.array([t.last for t in live if not t.unseen]).reshape(-1, 3)
+    twice = np.array(
+        [(np.linalg.norm(followed - p, axis=1) < _SAME_MM).any() for p in points.positions], bool
+    )
+    rows, points = rows[~twice], points.select(~twice)
+    missed = [t for t in live if t.unseen]
+    d = np.array([[t.distance_mm(p) for t in missed] for p in points.positions])
+    d = np.minimum(d.reshape(len(points.positions), len(missed)), _REVIVE_MM)
+    revived = set()
+    for row, m in zip(*linear_sum_assignment(d), strict=True):
+        if d[row, m] < _REVIVE_MM:
+            missed[m].revive(points, row)
+            revived.add(row)
+    for row in set(range(len(points.positions))) - revived:
         track = _Track(frame)
         track.see(points, row)
         live.append(track)
+    return np.asarray((rows >= 0).sum(axis=0))
 
 
 def _assemble(tracks: Sequence[_Track], time_s: NDArray[np.float64]) -> Trajectories:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from ..core.camera import Camera
 
 MIN_VIEWS = 2
+MAX_SUBSET_VIEWS = 8  # up to here every subset of disagreeing views is tried
 _STEPS = 5
 
 
@@ -67,6 +69,16 @@ class Points:
     residual_px: NDArray[np.float64]
     used: NDArray[np.bool_]
 
+    def select(self, rows: NDArray[Any]) -> Points:
+        """Some of the points, by index or mask."""
+        return Points(
+            self.positions[rows],
+            self.information[rows],
+            self.misfit[rows],
+            self.residual_px[rows],
+            self.used[rows],
+        )
+
 
 def triangulate(
     views: Views,
@@ -86,8 +98,9 @@ def triangulate(
         How sure each is; 1 by default. Views are weighted by the inverse square, so that the
         solution follows the sure ones and the others are found out by their errors.
     tolerance_px : float
-        A view whose reprojection error exceeds this is left out, the worst one first, as long as
-        more than two are left; a point whose two last views disagree by more is NaN.
+        Views that cannot be brought together within this reprojection error are parted: the
+        largest set that agrees is kept, and of equally large ones the one whose dots are surest
+        (two half hidden dots may agree as well as two whole ones). NaN if no two views agree.
 
     Notes
     -----
@@ -108,37 +121,67 @@ def _triangulate(P, focal, xy, sd, tolerance):  # type: ignore[no-untyped-def]
     information = np.full((N, 3, 3), np.nan)
     misfit, residual = np.full(N, np.nan), np.full(N, np.nan)
     used = np.zeros((N, C), np.bool_)
-    error = np.empty(C)
     for n in range(N):
-        for c in range(C):
-            used[n, c] = np.isfinite(xy[n, c, 0]) and np.isfinite(sd[n, c])
-        while used[n].sum() >= MIN_VIEWS:
-            X, JtJ, good = _solve(P, focal, xy[n], sd[n], used[n])
-            if not good:
-                used[n] = False
+        seen = np.isfinite(xy[n, :, 0]) & np.isfinite(sd[n])
+        while seen.sum() > MAX_SUBSET_VIEWS:  # too many subsets: the worst go one by one
+            X, JtJ, worst, largest, chi2 = _fit(P, focal, xy[n], sd[n], seen)
+            if worst < 0 or largest <= tolerance * tolerance:
                 break
-            worst, total, chi2 = -1, 0.0, 0.0
+            seen[worst] = False
+        cameras = np.flatnonzero(seen)
+        count = len(cameras)
+        for size in range(count, MIN_VIEWS - 1, -1):
+            best = np.inf
+            for mask in range(1 << min(count, MAX_SUBSET_VIEWS + 1)):
+                subset = np.zeros(C, np.bool_)
+                unsure = 0.0
+                for k in range(count):
+                    if (mask >> k) & 1 or size == count:
+                        subset[cameras[k]] = True
+                        unsure += sd[n, cameras[k]] ** 2
+                if subset.sum() != size or unsure >= best:
+                    continue
+                X, JtJ, worst, largest, chi2 = _fit(P, focal, xy[n], sd[n], subset)
+                if worst >= 0 and largest <= tolerance * tolerance:
+                    best = unsure
+                    positions[n], information[n], misfit[n], used[n] = X, JtJ, chi2, subset
+                if size == count:
+                    break
+            if best < np.inf:
+                break
+        if used[n].any():
+            squares = 0.0
             for c in range(C):
                 if used[n, c]:
-                    q = np.ascontiguousarray(P[c, :, :3]) @ X + P[c, :, 3]
-                    du = (q[0] / q[2] - xy[n, c, 0]) * focal[c]
-                    dv = (q[1] / q[2] - xy[n, c, 1]) * focal[c]
-                    error[c] = du * du + dv * dv if q[2] > 0 else np.inf
-                    total += error[c]
-                    chi2 += error[c] / sd[n, c] ** 2
-                    if worst < 0 or error[c] > error[worst]:
-                        worst = c
-            if error[worst] <= tolerance * tolerance:
-                positions[n], information[n], misfit[n] = X, JtJ, chi2
-                residual[n] = np.sqrt(total / used[n].sum())
-                break
-            if used[n].sum() == MIN_VIEWS:
-                used[n] = False
-                break
-            used[n, worst] = False
-        else:
-            used[n] = False
+                    squares += _error2(P, focal, xy[n], positions[n], c)
+            residual[n] = np.sqrt(squares / used[n].sum())
     return positions, information, misfit, residual, used
+
+
+@njit(cache=True, nogil=True)
+def _error2(P, focal, xy, X, c):  # type: ignore[no-untyped-def]
+    """Squared reprojection error in one view, px²; inf behind the camera."""
+    q = np.ascontiguousarray(P[c, :, :3]) @ X + P[c, :, 3]
+    if q[2] <= 0:
+        return np.inf
+    du = (q[0] / q[2] - xy[c, 0]) * focal[c]
+    dv = (q[1] / q[2] - xy[c, 1]) * focal[c]
+    return du * du + dv * dv
+
+
+@njit(cache=True, nogil=True)
+def _fit(P, focal, xy, sd, used):  # type: ignore[no-untyped-def]
+    """Position, JᵀJ, the worst view (−1 if there is no solution), its squared error, misfit."""
+    X, JtJ, good = _solve(P, focal, xy, sd, used)
+    worst, largest, chi2 = -1, np.inf, 0.0
+    if good:
+        for c in range(len(used)):
+            if used[c]:
+                error = _error2(P, focal, xy, X, c)
+                chi2 += error / sd[c] ** 2
+                if worst < 0 or error > largest:
+                    worst, largest = c, error
+    return X, JtJ, worst, largest, chi2
 
 
 @njit(cache=True, nogil=True)

@@ -19,11 +19,13 @@ from ..core.rig import Rig
 from ..core.trajectories import Trajectories
 from ..core.video import Frame, VideoInfo, probe_video, read_frames
 from .blobs import Blobs, BlobSettings, find_blobs, find_level
-from .tracker import FrameDots, TrackerSettings, follow_markers
+from .tracker import Followed, FrameDots, TrackerSettings, follow_markers
 from .triangulation import Views, triangulate
 
 logger = logging.getLogger(__name__)
 
+#: If fewer of a camera's dots meet another camera's, footage and rig do not belong together.
+MIN_SHARE_USED = 0.6
 _QUEUE = 32  # frames a camera may run ahead; memory stays constant in the length of the take
 _TIME_TOLERANCE = 0.25  # of a frame: cameras are taken to be in step
 
@@ -141,13 +143,29 @@ def track_videos(
                 jobs.append(pool.submit(_search, path, name, level, levels, queue, stop))
             yield from _in_step(list(paths.values()), queues, jobs, n_dots, on_frame)
 
-    found = follow_markers(rig, dots(), settings)
-    if not len(found.names):
+    followed = follow_markers(rig, dots(), settings)
+    _check_fit(rig, followed)
+    found = followed.trajectories
+    logger.info("followed %d tracks over %d frames", len(found.names), len(found.time_s))
+    return TrackedVideos(found, levels, np.array(n_dots, dtype=np.int32))
+
+
+def _check_fit(rig: Rig, followed: Followed) -> None:
+    """Refuse footage whose dots do not meet in space: it is not this rig's."""
+    if not len(followed.trajectories.names):
         raise InputError(
             "no marker was seen by two cameras at once: are the rig and the videos of one take?"
         )
-    logger.info("followed %d tracks over %d frames", len(found.names), len(found.time_s))
-    return TrackedVideos(found, levels, np.array(n_dots, dtype=np.int32))
+    lost = [
+        f"{name} ({100 * share:.0f} %)"
+        for name, share in zip(rig, followed.share_used, strict=True)
+        if share < MIN_SHARE_USED
+    ]
+    if lost:
+        raise InputError(
+            f"few of the dots of {', '.join(lost)} meet those of other cameras in space: is the "
+            "camera rig of this take, is each video named after its camera, has a camera moved?"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,9 @@ in the file have one.
 from __future__ import annotations
 
 import logging
-import math
 import os
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,18 +30,19 @@ from numpy.typing import NDArray
 from ..errors import FileFormatError, InputError
 from ..files import atomic_path
 from ..trajectories import Trajectories
+from .c3d_layout import (
+    BLOCK_BYTES,
+    MAX_FRAMES,
+    MAX_PARAMETER_BYTES,
+    MAX_SHORT_FRAMES,
+    Layout,
+    floats_of_words,
+    read_layout,
+)
 
-#: As many as the 32-bit float that counts the frames of long takes tells apart.
-MAX_FRAMES = 2**24
 #: Bytes of a marker name that all readers take.
 MAX_NAME_BYTES = 127
-_MAX_SHORT_FRAMES = 65535  # C3D's own count of frames has 16 bits
 _MAX_MARKERS = 32767
-_MAX_BYTES = 1024**3
-_BLOCK = 512
-_MAX_PARAMETER_BYTES = 255 * _BLOCK
-_MAGIC = 0x50
-_INTEL, _DEC, _MIPS = 84, 85, 86
 _MAX_STEPS = 254  # of a residual byte; 255 says that a measured sample has no residual
 _N_CAMERA_BITS = 7
 _GROUP = "FACEWRIGHT"
@@ -69,7 +68,7 @@ def read_c3d(path: Path) -> Trajectories:
     OSError
         If it cannot be read.
     """
-    layout = _read_layout(path)
+    layout = read_layout(path)
     xyz, word = _read_points(path, layout)
     is_missing = (word < 0) | np.isnan(xyz).any(axis=2)
     residual = (word & 0xFF) * abs(layout.scale)
@@ -118,218 +117,10 @@ def write_c3d(path: Path, trajectories: Trajectories) -> None:
                 named.unlink(missing_ok=True)
 
 
-# --- Reading. Our own, for the library follows whatever a damaged file says into gigabytes or a
-# --- segmentation fault; every size is held against the file's own before anything is taken.
+# --- Reading ---
 
 
-@dataclass(frozen=True)
-class _Parameter:
-    """One parameter as stored: its type (-1 text, 1, 2: integers, 4: floats), sizes and bytes."""
-
-    kind: int
-    shape: tuple[int, ...]
-    data: bytes
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Where the points stand in the file, all sizes checked.
-
-    `frame_words` counts the points' 4 words each and the analog samples after them; `scale` is
-    below 0 where words are floats, else mm (or the file's unit) per step of 16-bit integers.
-    """
-
-    n_points: int
-    n_frames: int
-    rate_hz: float
-    scale: float
-    frame_words: int
-    offset: int
-    processor: int
-    parameters: Mapping[tuple[str, str], _Parameter]
-
-
-def _read_layout(path: Path) -> _Layout:
-    """Number of points and frames, after checking that the file is as long as it says it is."""
-    size = path.stat().st_size
-    if size == 0:
-        raise FileFormatError(path, "file", "contents", "an empty file")
-    if size > _MAX_BYTES:
-        raise FileFormatError(path, "file", f"at most {_MAX_BYTES} bytes", f"{size} bytes")
-    with open(path, "rb") as stream:
-        header = stream.read(_BLOCK)
-        if len(header) < 2 or header[1] != _MAGIC or header[0] < 2:
-            found = f"{header[:2].hex(' ')} (is this a C3D file?)"
-            raise FileFormatError(path, "byte 1", "50 (hexadecimal), C3D's mark", found)
-        start = (header[0] - 1) * _BLOCK
-        stream.seek(start)
-        section = stream.read(2 * _MAX_PARAMETER_BYTES)
-    if len(header) < _BLOCK or len(section) < 4:
-        raise FileFormatError(path, "header", "a parameter section", f"{size} bytes in all")
-    processor = section[3]
-    if processor not in (_INTEL, _DEC):
-        found = "MIPS numbers, which are not read" if processor == _MIPS else str(processor)
-        raise FileFormatError(path, f"byte {start + 3}", "processor type 84 or 85", found)
-    parameters, end = _walk_parameters(path, section, start)
-    layout = _checked_layout(path, size, header, parameters, processor)
-    if layout.offset < end:
-        found = f"byte {layout.offset}"
-        raise FileFormatError(path, "POINT:DATA_START", f"data behind byte {end}", found)
-    return layout
-
-
-def _walk_parameters(
-    path: Path, section: bytes, start: int
-) -> tuple[dict[tuple[str, str], _Parameter], int]:
-    """Parameters by (group, name), and where they end; every length is checked."""
-    groups: dict[int, str] = {}
-    found: dict[tuple[int, str], _Parameter] = {}
-    at, end = 4, 4
-    while at and section[at : at + 1] not in (b"", b"\0"):
-        length, number = (
-            struct.unpack_from("<bb", section, at) if at + 2 <= len(section) else (0, 0)
-        )
-        name_end = at + 2 + abs(length)
-        if number == 0 or name_end + 3 > len(section):
-            raise _cut(path, start + at)
-        name = section[at + 2 : name_end].decode("latin-1").upper()
-        (step,) = struct.unpack_from("<H", section, name_end)
-        if number < 0:
-            groups[-number] = name
-            end = name_end + 3 + section[name_end + 2]
-        else:
-            found[number, name], end = _parameter(path, section, name_end + 2, start)
-        following = name_end + step if step else 0
-        if end > len(section) or (following and following < end):
-            raise _cut(path, start + at)
-        at = following
-    if at >= len(section):  # no mark of the end
-        raise _cut(path, start + at)
-    by_name = {(groups.get(number, ""), name): value for (number, name), value in found.items()}
-    return by_name, start + end
-
-
-def _parameter(path: Path, section: bytes, at: int, start: int) -> tuple[_Parameter, int]:
-    """The parameter whose type stands at `at`, and where its description ends."""
-    if at + 2 > len(section):
-        raise _cut(path, start + at)
-    kind, n_sizes = struct.unpack_from("<bB", section, at)
-    shape = tuple(section[at + 2 : at + 2 + n_sizes])
-    if kind not in (-1, 1, 2, 4) or len(shape) < n_sizes:
-        raise _cut(path, start + at)
-    data_at = at + 2 + n_sizes
-    data_end = data_at + abs(kind) * math.prod(shape)
-    if data_end + 1 > len(section):
-        raise _cut(path, start + at)
-    value = _Parameter(kind, shape, section[data_at:data_end])
-    return value, data_end + 1 + section[data_end]
-
-
-def _cut(path: Path, byte: int) -> FileFormatError:
-    expected = "a whole parameter section"
-    return FileFormatError(path, f"byte {byte}", expected, "one that is damaged or cut off")
-
-
-def _checked_layout(
-    path: Path,
-    size: int,
-    header: bytes,
-    parameters: Mapping[tuple[str, str], _Parameter],
-    processor: int,
-) -> _Layout:
-    def number(group: str, name: str, otherwise: float) -> float:
-        return _first_number(path, parameters, (group, name), processor, otherwise)
-
-    first, last = struct.unpack_from("<HH", header, 6)
-    n_points = int(number("POINT", "USED", 0))
-    if n_points < 1:
-        raise FileFormatError(path, "POINT:USED", "at least one point", str(n_points))
-    n_frames = int(
-        number("POINT", "LONG_FRAMES", 0)
-        or _n_trial_frames(parameters)
-        or number("POINT", "FRAMES", 0)
-        or last - first + 1
-    )
-    if not 1 <= n_frames <= MAX_FRAMES:
-        raise FileFormatError(path, "POINT:FRAMES", "at least one frame", str(n_frames))
-    rate_hz = number("POINT", "RATE", 0) or struct.unpack_from("<f", header, 20)[0]
-    if not 0 < rate_hz < 1e6:
-        raise FileFormatError(path, "POINT:RATE", "frames per second above 0", f"{rate_hz:g}")
-    scale = number("POINT", "SCALE", struct.unpack_from("<f", header, 12)[0])
-    if scale == 0:
-        raise FileFormatError(path, "POINT:SCALE", "a number other than 0", "0")
-    n_analog = _n_analog_words(path, header, number, rate_hz)
-    block = int(number("POINT", "DATA_START", 0)) or struct.unpack_from("<H", header, 16)[0]
-    offset, frame_words = (block - 1) * _BLOCK, 4 * n_points + n_analog
-    frame_bytes = frame_words * (4 if scale < 0 else 2)
-    there = size - offset
-    if block < 2 or n_frames * frame_bytes > there:
-        expected = f"{n_frames} frames of {frame_bytes} bytes"
-        found = f"{max(0, there) // frame_bytes} (cut off, or a wrong header)"
-        raise FileFormatError(path, "data", expected, found)
-    if n_frames == _MAX_SHORT_FRAMES and there >= (n_frames + 1) * frame_bytes + _BLOCK:
-        expected = "the frames of a long take in POINT:LONG_FRAMES or TRIAL:ACTUAL_END_FIELD"
-        raise FileFormatError(path, "POINT:FRAMES", expected, f"{n_frames}, and more data")
-    # the rate as it was meant: 59.94, where the 32-bit float is 59.93999862670898
-    rate_hz = float(str(np.float32(rate_hz)))
-    return _Layout(n_points, n_frames, rate_hz, scale, frame_words, offset, processor, parameters)
-
-
-def _n_trial_frames(parameters: Mapping[tuple[str, str], _Parameter]) -> int:
-    """Frames by the group TRIAL, which has them in 32 bits; 0 if it does not say."""
-    ends = [parameters.get(("TRIAL", f"ACTUAL_{end}_FIELD")) for end in ("START", "END")]
-    start, end = (
-        int.from_bytes(p.data, "little")
-        if p is not None and p.kind == 2 and len(p.data) == 4
-        else 0
-        for p in ends
-    )
-    return end - start + 1 if end > start > 0 else 0
-
-
-def _n_analog_words(
-    path: Path, header: bytes, number: Callable[[str, str, float], float], rate_hz: float
-) -> int:
-    """Analog samples per frame, of which the header and the parameters must say the same."""
-    (in_header,) = struct.unpack_from("<H", header, 4)
-    n_channels, analog_hz = number("ANALOG", "USED", 0), number("ANALOG", "RATE", 0)
-    if n_channels == 0 or analog_hz == 0:
-        return int(in_header) if n_channels else 0
-    by_parameters = n_channels * analog_hz / rate_hz
-    if not abs(by_parameters - in_header) < 0.5:
-        found = f"{by_parameters:g} by ANALOG:USED and ANALOG:RATE"
-        raise FileFormatError(path, "header", f"{in_header} analog samples in a frame", found)
-    return int(in_header)
-
-
-def _first_number(
-    path: Path,
-    parameters: Mapping[tuple[str, str], _Parameter],
-    key: tuple[str, str],
-    processor: int,
-    otherwise: float,
-) -> float:
-    """The first number of a parameter; 16-bit ones are taken without sign, as counts are."""
-    parameter = parameters.get(key)
-    if parameter is None or parameter.kind < 0 or not parameter.data:
-        return otherwise
-    if parameter.kind < 4:
-        return float(int.from_bytes(parameter.data[: parameter.kind], "little"))
-    found = float(_floats(np.frombuffer(parameter.data, dtype="<u2", count=2), processor)[0])
-    if not math.isfinite(found):
-        raise FileFormatError(path, ":".join(key), "a finite number", f"{found:g}")
-    return found
-
-
-def _floats(words: NDArray[np.uint16], processor: int) -> NDArray[Any]:
-    """32-bit floats of pairs of 16-bit words."""
-    if processor == _DEC:  # a VAX float: words swapped, exponent 2 higher
-        swapped = words.reshape(-1, 2)[:, ::-1]
-        return np.ascontiguousarray(swapped).view("<f4").ravel() / np.float32(4)
-    return words.view("<f4")
-
-
-def _read_points(path: Path, layout: _Layout) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _read_points(path: Path, layout: Layout) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Positions (T, M, 3) in the file's unit, and each point's fourth word (T, M).
 
     That word is negative for a missing sample; else its high byte is the mask of cameras and its
@@ -343,12 +134,12 @@ def _read_points(path: Path, layout: _Layout) -> tuple[NDArray[np.float64], NDAr
     if layout.scale > 0:
         words = np.ascontiguousarray(data).view("<i2").reshape(T, M, 4)
         return words[..., :3] * layout.scale, words[..., 3].astype(np.int64)
-    floats = _floats(np.ascontiguousarray(data).ravel(), layout.processor).reshape(T, M, 4)
+    floats = floats_of_words(np.ascontiguousarray(data).ravel(), layout.processor).reshape(T, M, 4)
     fourth = np.clip(np.nan_to_num(floats[..., 3], nan=-1.0), -1, 0x7FFF)
     return floats[..., :3].astype(np.float64), np.floor(fourth).astype(np.int64)
 
 
-def _texts(layout: _Layout, name: str) -> list[str]:
+def _texts(layout: Layout, name: str) -> list[str]:
     """The texts of a parameter of the group POINT; none if it is missing."""
     parameter = layout.parameters.get(("POINT", name))
     if parameter is None or parameter.kind != -1:
@@ -365,7 +156,7 @@ def _decoded(data: bytes) -> str:
         return data.decode("latin-1")
 
 
-def _unit_mm(path: Path, layout: _Layout) -> float:
+def _unit_mm(path: Path, layout: Layout) -> float:
     """Millimetres in the file's unit."""
     given = {unit.lower() for unit in _texts(layout, "UNITS")} - {""}
     if not given:
@@ -377,7 +168,7 @@ def _unit_mm(path: Path, layout: _Layout) -> float:
     return _UNIT_MM[given.pop()]
 
 
-def _labels(layout: _Layout) -> list[str]:
+def _labels(layout: Layout) -> list[str]:
     found = _texts(layout, "LABELS")
     more = 2
     while ("POINT", f"LABELS{more}") in layout.parameters:  # a parameter has room for 255
@@ -405,7 +196,7 @@ def _names(labels: Iterable[str], n_points: int) -> tuple[str, ...]:
 
 
 def _residual_px(
-    layout: _Layout, residual: NDArray[Any], is_missing: NDArray[np.bool_]
+    layout: Layout, residual: NDArray[Any], is_missing: NDArray[np.bool_]
 ) -> NDArray[np.float64] | None:
     unit = layout.parameters.get((_GROUP, "RESIDUAL_UNIT"))
     if unit is None or unit.data != b"px":
@@ -449,10 +240,10 @@ def _check_names(names: Sequence[str]) -> None:
             )
         longest = max(longest, n_bytes)
     # names are padded to the longest; 2 bytes each for the unit, the rest for all else
-    if len(names) * (longest + 2) > _MAX_PARAMETER_BYTES - 20 * _BLOCK:
+    if len(names) * (longest + 2) > MAX_PARAMETER_BYTES - 20 * BLOCK_BYTES:
         raise InputError(
             f"the names of {len(names)} markers are longer than a C3D file has room for "
-            f"({_MAX_PARAMETER_BYTES} bytes): shorten them or write fewer markers"
+            f"({MAX_PARAMETER_BYTES} bytes): shorten them or write fewer markers"
         )
 
 
@@ -486,7 +277,7 @@ def _new_document(trajectories: Trajectories, rate_hz: float, scale: float) -> A
     points["UNITS"]["value"] = ["mm"]
     points["LABELS"]["value"] = list(trajectories.names)
     points["SCALE"]["value"] = np.array([-scale])
-    if T > _MAX_SHORT_FRAMES:
+    if T > MAX_SHORT_FRAMES:
         document.add_parameter("POINT", "LONG_FRAMES", [float(T)])
     unit = "none" if trajectories.residual_px is None else "px"
     document.add_parameter(_GROUP, "RESIDUAL_UNIT", [unit])
@@ -507,7 +298,7 @@ def _finish(part: Path, words: NDArray[np.float32], scale: float) -> None:
     Those are the scale in the header, and the fourth words: it swaps their bytes (its issue 386).
     """
     try:
-        layout = _read_layout(part)
+        layout = read_layout(part)
     except FileFormatError as error:
         raise OSError(f"{part} could not be written whole; is the disk full?") from error
     T, M = words.shape

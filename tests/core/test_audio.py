@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from facewright.core.audio import Audio, read_audio, write_audio
 from facewright.core.errors import FileFormatError, InputError
-from facewright.core.video import VideoWriter
+from facewright.core.video_writer import VideoWriter
 
 RATE = 16_000
 

@@ -15,7 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from facewright.core.errors import FileFormatError, InputError
-from facewright.core.video import VideoWriter, probe_video, read_frames
+from facewright.core.video import probe_video, read_frames
+from facewright.core.video_writer import VideoWriter
 
 Picture = NDArray[np.uint8]
 WIDTH, HEIGHT = 150, 94  # not multiples of a block: lines are padded in the decoder

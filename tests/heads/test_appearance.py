@@ -5,16 +5,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from facewright.heads.appearance import (
-    CUTS,
-    Appearance,
-    AppearanceTraits,
-    appearance_uv,
-    jpeg_bytes,
-    make_appearance,
-    png_bytes,
-)
+from facewright.heads.appearance import Appearance, jpeg_bytes, make_appearance, png_bytes
+from facewright.heads.appearance_traits import CUTS, AppearanceTraits
 from facewright.heads.template import load_template, template_feature_points
+from facewright.heads.texture_layout import appearance_uv
 
 
 def looks(**traits: object) -> Appearance:
