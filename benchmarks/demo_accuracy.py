@@ -28,7 +28,7 @@ from facewright.datasets_synthetic.film import FilmedTake, film_take
 from facewright.datasets_synthetic.takes import make_take
 from facewright.tracking.gaps import fill_gaps
 from facewright.tracking.labelling import label_tracks
-from facewright.tracking.performance import analyse
+from facewright.tracking.performance import analyse, estimate_fapu
 from facewright.tracking.videos import track_videos, warm_up
 
 
@@ -57,7 +57,10 @@ def judge_seed(seed: int, seconds: float, takes: Path | None) -> list[Stage]:
         labelled, _ = label_tracks(tracked, marker_set)
         labelled = fill_gaps(labelled)
         truth = load_truth(filmed.truth)
-        stages = evaluate(filmed.videos, truth, labelled, analyse(labelled, marker_set))
+        performance = analyse(labelled, marker_set)
+        stages = evaluate(filmed.videos, truth, labelled, performance)
+        estimated = estimate_fapu(performance.neutral.positions, marker_set).as_dict().values()
+        off = float(100 * np.abs(np.array(list(estimated)) / truth["fapu"] - 1).max())
         n = len(truth["time_s"]) * len(filmed.videos)
         rates = [p.stat().st_size * 8e-6 / probe_video(p).duration_s for p in filmed.videos]
     return [
@@ -65,6 +68,7 @@ def judge_seed(seed: int, seconds: float, takes: Path | None) -> list[Stage]:
         Stage("filming", "largest video", "Mbit/s", max(rates), 2.0),
         Stage("tracking", "camera frames per second", "1/s", n / tracking_s, 120, at_least=True),
         *stages,
+        Stage("FAPs", "units if estimated from the markers, largest error", "%", off),
     ]
 
 

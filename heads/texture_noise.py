@@ -20,8 +20,13 @@ def noise_at(places: Floats, wavelength_mm: float | Rgb, seed: int) -> Floats:
     found = np.empty(len(places), dtype=np.float32)
     half = len(places) // 2
     with ThreadPoolExecutor(2) as pool:  # numba's own threads may warn about what is installed
-        for part in (slice(0, half), slice(half, None)):
+        parts = (slice(0, half), slice(half, None))
+        jobs = [
             pool.submit(_fill_noise, places[part], waves, seed % 2**20, found[part])
+            for part in parts
+        ]
+    for job in jobs:
+        job.result()  # raises what went wrong in it
     return found
 
 
