@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +18,6 @@ def write_report(
     head: str,
     performance: TrackedPerformance,
     facts: dict[str, Any],
-    tables: Sequence[PageTable] = (),
 ) -> None:
     """Write `report.html` from the folder's ``head.glb`` and a video of source and tracks."""
     measured = [
@@ -36,7 +34,6 @@ def write_report(
         videos=[PageVideo("source and tracks", source.read_bytes())],
         curves=performance.faps,
         tables=[
-            *tables,
             PageTable("This run", ("measured", "value"), measured),
             PageTable(f"Units of the performer ({performance.fapu_source})", ("unit", "mm"), units),
         ],

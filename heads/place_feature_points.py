@@ -3,7 +3,7 @@
 Run by the project when the template changes: ``python -m facewright.heads.place_feature_points``.
 All built-in heads share the template's topology, so a point placed here is on all of them. Points
 are placed on the subject's left and mirrored. The table is then checked by eye on the chart that
-``facewright synth head --chart`` draws.
+``facewright synth head --out DIR`` draws.
 """
 
 from __future__ import annotations
