@@ -90,7 +90,7 @@ def facts_of(performance: TrackedPerformance) -> dict[str, Any]:
         "frames": len(performance.faps.time_s),
         "faps": list(performance.faps.channels),
         "approximated": list(performance.approximated),
-        "neutral_frames": performance.neutral.frames,
+        "neutral_frames": [int(frame) for frame in performance.neutral.frames],
         "axes": performance.neutral.axes,
         "fapu_mm": performance.fapu.as_dict(),
         "fapu_source": performance.fapu_source,

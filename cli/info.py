@@ -273,6 +273,7 @@ def _array(archive: Any, name: str) -> dict[str, Any]:
 
 def _glb(path: Path) -> Description:
     from ..core.formats.gltf import read_glb
+    from ..core.time_base import uniform_rate_hz
 
     scene = read_glb(path)
     items: tuple[dict[str, Any], ...] = tuple(
@@ -288,7 +289,7 @@ def _glb(path: Path) -> Description:
         "n_parts": len(items),
         "n_vertices": sum(item["n_vertices"] for item in items),
         "n_triangles": sum(item["n_triangles"] for item in items),
-        **_time_facts(scene.time_s, None),
+        **_time_facts(scene.time_s, uniform_rate_hz(scene.time_s)),
     }
     return Description("3-D scene (glTF)", facts, "parts", items)
 
