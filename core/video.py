@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import FileFormatError
-from .video_pixels import luma_of, rgb_of, turn_as_shown
+from .video_pixels import luma_of, rgb_of, turn_of
 
 _MAX_PIXELS = 16384 * 16384
 #: What opens as "video" but is none: pictures, text as ANSI art, lists of other files.
@@ -116,7 +116,7 @@ def probe_video(path: Path) -> VideoInfo:
     with open_container(path) as container:
         stream = _video_stream(path, container)
         first, _ = next(_decoded(path, container, stream))
-        height, width = turn_as_shown(np.empty((first.height, first.width)), first).shape
+        height, width = turn_of(first)(np.empty((first.height, first.width))).shape
         rate = stream.average_rate or stream.guessed_rate
         duration_s = _matroska_duration_s(container, stream) or math.nan
         if stream.duration is not None:
@@ -179,6 +179,7 @@ def read_frames(
                 time_s = index / float(rate)
             if index == 0:
                 start_s, size = time_s, (decoded.width, decoded.height)
+                turned = turn_of(decoded)
             if (decoded.width, decoded.height) != size:
                 found = f"{decoded.width}x{decoded.height}"
                 raise FileFormatError(path, f"frame {index}", f"{size[0]}x{size[1]}", found)
@@ -186,8 +187,7 @@ def read_frames(
                 expected = f"a time stamp after {last_s - start_s:.6f} s"
                 raise FileFormatError(path, f"frame {index}", expected, f"{time_s - start_s:.6f} s")
             last_s = time_s
-            image = luma_of(decoded) if gray else rgb_of(decoded)
-            image = turn_as_shown(image, decoded)
+            image = turned(luma_of(decoded) if gray else rgb_of(decoded))
             image.flags.writeable = False
             yield Frame(index, time_s - start_s, image)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -43,16 +44,25 @@ def luma_of(frame: Any) -> NDArray[np.uint8]:
     return luma_of(frame.reformat(format="yuv420p"))  # packed or semi-planar: same range
 
 
-def turn_as_shown(image: NDArray[Any], frame: Any) -> NDArray[Any]:
-    """The picture as it is to be shown, by the quarter turns and flips beside it."""
+def turn_of(frame: Any) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    """What turns a stream's pictures as they are to be shown, by the matrix beside its first frame.
+
+    Looking at a frame's side data ties it into a reference cycle, which keeps its picture in
+    memory until the garbage collector comes by: so it is done once a stream.
+    """
     data = next((bytes(d) for d in frame.side_data if d.type.name == "DISPLAYMATRIX"), None)
     if data is None or len(data) < 36:
-        return image
+        return lambda image: image
     # x' = a x + c y, y' = b x + d y; 16.16 fixed point, in the machine's order
-    a, b, _, c, d = np.frombuffer(data, np.int32, count=5)
-    if abs(int(a)) + abs(int(d)) >= abs(int(b)) + abs(int(c)):
-        flip_x, flip_y, turned = a < 0, d < 0, image
-    else:
-        flip_x, flip_y, turned = c < 0, b < 0, image.swapaxes(0, 1)
-    turned = turned[:: -1 if flip_y else 1, :: -1 if flip_x else 1]
-    return image if turned is image else np.ascontiguousarray(turned)
+    a, b, _, c, d = (int(x) for x in np.frombuffer(data, np.int32, count=5))
+    swaps = abs(a) + abs(d) < abs(b) + abs(c)
+    flip_x, flip_y = (c < 0, b < 0) if swaps else (a < 0, d < 0)
+    if not (swaps or flip_x or flip_y):
+        return lambda image: image
+    down, right = slice(None, None, -1 if flip_y else 1), slice(None, None, -1 if flip_x else 1)
+
+    def turned(image: NDArray[Any]) -> NDArray[Any]:
+        upright = image.swapaxes(0, 1) if swaps else image
+        return np.ascontiguousarray(upright[down, right])
+
+    return turned

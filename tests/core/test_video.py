@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable
 from fractions import Fraction
@@ -531,3 +532,19 @@ def test_luma_is_decoded_fast_enough_to_track(tmp_path: Path) -> None:
     pairs = [(seconds(luma), seconds(bare)) for _ in range(3)]
     ratio = min(ours / peer for ours, peer in pairs)
     assert ratio < 1.5, f"luma takes {ratio:.2f} times the bare decoder's time (measured: 1.1)"
+
+
+def test_frames_are_freed_as_soon_as_they_are_let_go(tmp_path: Path) -> None:
+    path = tmp_path / "clip.mp4"
+    with VideoWriter(path, (64, 48), 30) as writer:
+        for level in range(0, 200, 5):
+            writer.write(np.full((48, 64), level, np.uint8))
+    gc.collect()
+    gc.disable()
+    try:
+        for frame in read_frames(path, gray=True):
+            del frame
+        kept = sum(isinstance(o, av.VideoFrame) for o in gc.get_objects())
+    finally:
+        gc.enable()
+    assert kept <= 2, f"{kept} of 40 frames wait for the garbage collector"
