@@ -76,7 +76,7 @@ def random_identity(rng: np.random.Generator, name: str = "someone") -> Identity
     female = float(rng.random() < 0.5)
     age = float(rng.uniform(0.45, 0.85))
     local: dict[str, float] = {}
-    for positive, negative in _local_pairs(template):
+    for positive, negative in _local_pairs():
         left = positive.startswith("l-")
         if positive.startswith("r-") and f"l-{positive[2:]}" in template.identity_names:
             continue
@@ -95,7 +95,8 @@ def random_identity(rng: np.random.Generator, name: str = "someone") -> Identity
 
 
 @cache
-def _local_pair_names() -> tuple[tuple[str, str], ...]:
+def _local_pairs() -> tuple[tuple[str, str], ...]:
+    """Local targets and their opposites."""
     names = set(load_template().identity_names)
     opposites = (
         ("-incr", "-decr"),
@@ -113,11 +114,6 @@ def _local_pair_names() -> tuple[tuple[str, str], ...]:
             if name.endswith(plus) and name.removesuffix(plus) + minus in names:
                 pairs.append((name, name.removesuffix(plus) + minus))
     return tuple(pairs)
-
-
-def _local_pairs(template: Template) -> tuple[tuple[str, str], ...]:
-    del template  # one template; the names are its
-    return _local_pair_names()
 
 
 def target_weights(identity: Identity) -> dict[str, float]:

@@ -178,10 +178,10 @@ def label_tracks(
     """Give unlabelled tracks the names of a marker set.
 
     Tracks alive at the neutral frame, or within 10 frames of it, are named by their constellation.
-    A track that begins later
-    (or ended earlier) continues a marker that is missing then: the head's rigid motion, from all
-    markers named so far, carries it to the neutral head, where it must lie within 6 mm of the
-    place at which a missing marker was last or next seen; the nearest wins. Others are left out.
+    A track that begins later (or ended earlier) continues a marker that is missing then: the
+    head's rigid motion, from all markers named so far, carries it to the neutral head, where it
+    must lie within 6 mm of the place at which a missing marker was last or next seen; the nearest
+    wins. Others are left out.
 
     Raises
     ------
@@ -189,12 +189,12 @@ def label_tracks(
         As `label_constellation`; or if the neutral frame is outside the take.
     """
     T = len(tracks.time_s)
-    if not -T <= neutral_frame < T:
+    if not 0 <= neutral_frame < T:
         raise InputError(f"the neutral frame {neutral_frame} is outside the take of {T} frames")
     seen = ~np.isnan(tracks.positions[..., 0])
-    nearest = _nearest_frames(seen, neutral_frame % T)
-    alive = np.flatnonzero(np.abs(nearest - neutral_frame % T) <= _NEUTRAL_WINDOW)
-    alive = _without_pieces(tracks.positions, nearest, alive, neutral_frame % T)
+    nearest = _nearest_frames(seen, neutral_frame)
+    alive = np.flatnonzero(np.abs(nearest - neutral_frame) <= _NEUTRAL_WINDOW)
+    alive = _without_pieces(tracks.positions, nearest, alive, neutral_frame)
     labelling = label_constellation(tracks.positions[nearest[alive], alive], marker_set)
     owner = {label: [int(alive[i])] for label, i in labelling.track_of_label.items()}
     taken = {rows[0] for rows in owner.values()}

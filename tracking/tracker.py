@@ -281,7 +281,9 @@ def _begin_tracks(
         if d[row, m] < _REVIVE_MM:
             missed[m].revive(points, row)
             revived.add(row)
-    for row in set(range(len(points.positions))) - revived:
+    for row in range(len(points.positions)):
+        if row in revived:
+            continue
         track = _Track(frame)
         track.see(points, row)
         live.append(track)
