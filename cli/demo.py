@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import HeadOption, JsonOption, note, writable_folder
-from .synth import SecondsOption, SeedOption, run_take
+from .synth_take import SecondsOption, SeedOption, run_take
 from .tables import print_table, write_json
 
 if TYPE_CHECKING:
@@ -36,6 +36,7 @@ def demo(
     """
     from ..core.formats.markers_toml import read_marker_set
     from ..core.formats.rig_json import read_rig
+    from ..datasets_synthetic.take_settings import TakeSettings
     from ..heads.catalogue import built_in_identity
     from .animate import run_animate
     from .evaluation import evaluate, load_truth
@@ -43,10 +44,12 @@ def demo(
     built_in_identity(head)
     folder = writable_folder(out)
     start = time.perf_counter()
-    take = run_take(folder, seconds, seed)
+    take = run_take(folder, TakeSettings(seconds=seconds), seed)
     filming_s = time.perf_counter() - start
+    marker_file = take.marker_set
+    assert marker_file is not None
     result = run_animate(
-        take.videos, read_rig(take.rig), read_marker_set(take.marker_set), folder, head=head
+        take.videos, read_rig(take.rig), read_marker_set(marker_file), folder, head=head
     )
     truth = load_truth(take.truth)
     stages = _filming(take, len(truth["time_s"]), filming_s)

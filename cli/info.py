@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..core.errors import FacewrightError, FileFormatError, InputError
+from .description import Description
 from .errors import BAD_INPUT, DebugOption, show_error
+from .info_captures import (
+    archive_contents,
+    describe_picture,
+    describe_ply,
+    describe_settings,
+    describe_table,
+)
 from .tables import cell_text, print_table, say, write_json
 
 if TYPE_CHECKING:
@@ -21,27 +28,6 @@ if TYPE_CHECKING:
 
 #: More rows than this are not printed (the JSON has them all).
 MAX_ROWS = 100
-
-
-@dataclass(frozen=True)
-class Description:
-    """What is in a file; the same for people and for JSON, so every name carries its unit.
-
-    Attributes
-    ----------
-    contents : str
-        In words: ``"camera rig"``.
-    facts : mapping from name to value
-    items_name : str
-        What `items` are: ``"cameras"``.
-    items : tuple of mappings
-        One for each camera, marker, channel; all with the same keys.
-    """
-
-    contents: str
-    facts: dict[str, Any]
-    items_name: str = ""
-    items: tuple[dict[str, Any], ...] = field(default=())
 
 
 def info(
@@ -99,15 +85,22 @@ _BEGINNINGS = (
     (4, b"ftypM4A", "audio"),
     (4, b"ftyp", "video"),
     (0, b"\x1a\x45\xdf\xa3", "video"),  # Matroska, WebM
+    (0, b"\x89PNG\r\n\x1a\n", "picture"),
+    (0, b"\xff\xd8\xff", "picture"),  # JPEG
+    (0, b"ply\n", "ply"),
+    (0, b"ply\r", "ply"),
 )
 
 _SUFFIXES = {
-    ".json": "rig",
+    **dict.fromkeys((".json", ".yaml", ".yml"), "rig"),
     ".c3d": "c3d",
     ".fap": "fap",
     ".npz": "npz",
     ".glb": "glb",
-    ".toml": "markers",
+    ".toml": "toml",
+    ".ply": "ply",
+    ".csv": "csv",
+    **dict.fromkeys((".png", ".jpg", ".jpeg"), "picture"),
     **dict.fromkeys((".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".ogv"), "video"),
     **dict.fromkeys((".wav", ".flac", ".ogg", ".mp3", ".m4a", ".aif", ".aiff", ".opus"), "audio"),
 }
@@ -116,7 +109,11 @@ _SUFFIXES = {
 def _format_of(path: Path) -> str:
     """The format by what the file begins with; by its suffix where that does not tell."""
     if path.is_dir():
+        if (path / "cameras.txt").is_file():
+            return "rig"
         raise InputError(f"{path} is a folder: name the files in it")
+    if path.name.lower() in ("cameras.txt", "images.txt"):  # COLMAP's
+        return "rig"
     with open(path, "rb") as stream:
         beginning = stream.read(16)
     if not beginning:
@@ -127,8 +124,9 @@ def _format_of(path: Path) -> str:
     by_suffix = _SUFFIXES.get(path.suffix.lower())
     if by_suffix is None:
         raise InputError(
-            f"{path}: not a format that we read: rig.json, .c3d, .fap, .npz, .glb, "
-            "markers.toml, video (MP4, WebM, MOV, AVI), audio (WAV, FLAC, OGG, MP3)"
+            f"{path}: not a format that we read: rig.json, cameras in OpenCV or Kalibr YAML or "
+            "COLMAP text, .c3d, .fap, .npz, .glb, .ply, .csv, markers.toml, take.toml, "
+            "picture (PNG, JPEG), video (MP4, WebM, MOV, AVI), audio (WAV, FLAC, OGG, MP3)"
         )
     return by_suffix
 
@@ -139,9 +137,11 @@ def _format_of(path: Path) -> str:
 def _rig(path: Path) -> Description:
     import numpy as np
 
-    from ..core.formats.rig_json import read_rig
+    from ..core.formats.rig_files import RIG_FORMATS, read_any_rig, rig_format
 
-    rig = read_rig(path)
+    rig = read_any_rig(path)
+    used = rig_format(path)
+    contents = "camera rig" if used == "rig.json" else f"camera rig ({RIG_FORMATS[used]})"
     places = np.array([camera.position for camera in rig.cameras.values()])
     between = np.linalg.norm(places[:, None] - places, axis=2)
     np.fill_diagonal(between, np.inf)
@@ -157,7 +157,7 @@ def _rig(path: Path) -> Description:
         }
         for (name, camera), nearest in zip(rig.cameras.items(), between.min(axis=1), strict=True)
     )
-    return Description("camera rig", {"n_cameras": len(rig)}, "cameras", items)
+    return Description(contents, {"n_cameras": len(rig)}, "cameras", items)
 
 
 def _c3d(path: Path) -> Description:
@@ -253,7 +253,8 @@ def _npz(path: Path) -> Description:
     # what zipfile and numpy raise on damage; RuntimeError: encrypted, or packed by other means
     except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, RuntimeError) as error:
         raise FileFormatError(path, "file", "an archive of arrays (.npz)", str(error)) from error
-    return Description("arrays", {"n_arrays": len(items)}, "arrays", items)
+    contents = archive_contents({item["name"] for item in items})
+    return Description(contents, {"n_arrays": len(items)}, "arrays", items)
 
 
 def _array(archive: Any, name: str) -> dict[str, Any]:
@@ -292,6 +293,10 @@ def _glb(path: Path) -> Description:
         **_time_facts(scene.time_s, uniform_rate_hz(scene.time_s)),
     }
     return Description("3-D scene (glTF)", facts, "parts", items)
+
+
+def _toml(path: Path) -> Description:
+    return describe_settings(path) or _markers(path)
 
 
 def _markers(path: Path) -> Description:
@@ -359,7 +364,10 @@ _DESCRIBE: dict[str, Callable[[Path], Description]] = {
     "fap": _fap,
     "npz": _npz,
     "glb": _glb,
-    "markers": _markers,
+    "toml": _toml,
+    "ply": describe_ply,
+    "picture": describe_picture,
+    "csv": describe_table,
     "video": _video,
     "audio": _audio,
 }

@@ -19,7 +19,12 @@ from .errors import DebugOption, guarded
 from .faps import faps
 from .info import info
 from .retarget import retarget
-from .synth import head, take
+from .synth_board import board
+from .synth_head import head
+from .synth_photos import photos
+from .synth_scan import scan
+from .synth_take import take
+from .synth_voice import voice
 from .track import track
 from .view import view
 
@@ -30,6 +35,10 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "doctor": doctor,
     "synth take": take,
     "synth head": head,
+    "synth board": board,
+    "synth photos": photos,
+    "synth scan": scan,
+    "synth voice": voice,
     "track": track,
     "faps": faps,
     "animate": animate,
@@ -39,7 +48,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 #: What each group is about.
 GROUPS: dict[str, str] = {
-    "synth": "Make a synthetic capture whose truth is known exactly.",
+    "synth": "Make people and captures whose truth is known exactly.",
 }
 
 

@@ -98,11 +98,16 @@ def find_marker_set(given: str | None, beside: Path) -> MarkerSet | None:
 
 
 def find_rig(given: Path | None, videos: Sequence[Path]) -> Rig:
-    """The camera rig a user means: a file, or ``rig.json`` beside the videos (which is said)."""
+    """The camera rig a user means, or ``rig.json`` beside the videos (which is said).
+
+    `given` is a file of any format we read (rig.json, OpenCV or Kalibr YAML) or the folder of a
+    COLMAP text model.
+    """
+    from ..core.formats.rig_files import read_any_rig
     from ..core.formats.rig_json import read_rig
 
     if given is not None:
-        return read_rig(given)
+        return read_any_rig(given)
     found = videos[0].parent / "rig.json"
     if not found.is_file():
         raise InputError(

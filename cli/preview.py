@@ -187,7 +187,7 @@ def write_previews(
     rate = tracks.rate_hz or 60.0
     step = max(1, round(rate / MAX_RATE_HZ))
     width, height = PANEL
-    renderer = HeadRenderer(animation.head)
+    renderer = HeadRenderer(animation.head, quick=True)
     camera = portrait_camera(animation.head, (width, height - _CAPTION))
     count = 0
     with ExitStack() as stack:

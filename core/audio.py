@@ -7,7 +7,7 @@ import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ _MAX_RATE_HZ = 768_000
 _BLOCK_FRAMES = 65536
 #: RIFF sizes of writers that could not go back and fill them in.
 _UNKNOWN_RIFF_SIZES = (0, 0x7FFFFFFF, 0x7FFFF000, 0xFFFFFFFF)
+
+_WRITE_BLOCK = 1 << 18
 
 _log = logging.getLogger(__name__)
 
@@ -54,6 +56,18 @@ class Audio:
         return len(self.samples) / self.rate_hz
 
 
+class SoundTrack(Protocol):
+    """Sound that need not lie in memory: `Audio`, or what computes samples when they are sliced."""
+
+    @property
+    def samples(self) -> Any:
+        """Has a length; ``samples[a:b]`` is (b − a,) float32 in [-1, 1]."""
+
+    @property
+    def rate_hz(self) -> int:
+        """Samples a second."""
+
+
 def read_audio(path: Path) -> Audio:
     """Read a sound file, or the sound track of a video, as one channel (the channels' mean).
 
@@ -84,15 +98,19 @@ def read_audio(path: Path) -> Audio:
         return _checked(path, samples, int(opened.samplerate))
 
 
-def write_audio(path: Path, audio: Audio) -> None:
+def write_audio(path: Path, audio: SoundTrack) -> None:
     """Write a 16-bit WAV file: samples to the nearest 1/32768, +1 as 32767/32768."""
     import soundfile
 
     if path.suffix.lower() not in (".wav", ".wave"):
         raise InputError(f"{path}: sound is written as WAV; give the file the suffix .wav")
-    codes = np.clip(np.rint(audio.samples.astype(np.float64) * 32768), -32768, 32767)
     with atomic_path(path) as part, open(part, "wb") as stream:
-        soundfile.write(stream, codes.astype(np.int16), audio.rate_hz, "PCM_16", format="WAV")
+        with soundfile.SoundFile(
+            stream, "w", audio.rate_hz, channels=1, subtype="PCM_16", format="WAV"
+        ) as out:
+            for start in range(0, len(audio.samples), _WRITE_BLOCK):
+                block = audio.samples[start : start + _WRITE_BLOCK].astype(np.float64)
+                out.write(np.clip(np.rint(block * 32768), -32768, 32767).astype(np.int16))
         stream.flush()
         os.fsync(stream.fileno())
 

@@ -1,54 +1,56 @@
-"""Performances: smooth ARKit curves and a head motion, drawn from a seed."""
+"""Performances: what an actor's face and head do, drawn from a seed or timed to phones."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..core.clip import Clip
+from ..core.errors import InputError
 from ..core.head_motion import HeadMotion
-from ..core.mpeg4 import ANGLE_UNIT_RAD, rotation_of_faps
-from ..core.rigid import quaternion_from_rotation
+from ..core.phones import SILENCE, PhoneTrack
+from ..heads.expressions import expression_weights
 from ..heads.head import Head
+from .acting_babble import babble, babble_phrase
+from .acting_curves import (
+    HEAD_CURVES,
+    SPEAKING,
+    ActingEvent,
+    Floats,
+    Layer,
+    add_layers,
+)
+from .acting_curves import (
+    NEUTRAL_S as NEUTRAL_S,
+)
+from .acting_curves import (
+    smooth_pulse as smooth_pulse,
+)
+from .acting_expressions import (
+    MOUTH_GESTURES,
+    draw_brows,
+    draw_expression,
+    draw_gesture,
+    draw_laugh,
+    idle,
+    uneven_pulses,
+)
+from .acting_eyes import blinks, draw_looks, eyes_of_looks, head_of_looks
+from .acting_head import head_gestures, head_motion, speech_beats, sway_and_breath
+from .acting_limits import limit, yield_to_speech
+from .acting_range import RANGE_SCRIPT, range_layer, range_seconds
+from .acting_speech import FIRST_SOUND_S, accents, mouth_of_speech
 
-#: Every performance begins with this much stillness: the neutral face, looking along +z.
-NEUTRAL_S = 0.3
+#: Performances are sampled at this rate. A cubic between samples keeps within 0.001 of the curves,
+#: and within 0.012 for ``eyeLook*`` during a saccade, which lasts six samples or more.
+PERFORMANCE_RATE_HZ = 240.0
+STYLES = ("mixed", "expressions", "speech", "range")
 
-#: Gestures of the mouth and jaw, one at a time: shape → weight. L/R stands for both sides.
-MOUTH_GESTURES: tuple[dict[str, float], ...] = (
-    {"mouthSmileL/R": 0.7, "cheekSquintL/R": 0.5, "eyeSquintL/R": 0.3},
-    {"mouthSmileL/R": 0.5, "jawOpen": 0.25, "mouthUpperUpL/R": 0.3},
-    {"mouthFrownL/R": 0.6, "mouthShrugLower": 0.4},
-    {"mouthPucker": 0.7},
-    {"mouthFunnel": 0.5, "jawOpen": 0.2},
-    {"jawOpen": 0.5},
-    {"jawOpen": 0.3, "mouthStretchL/R": 0.4, "mouthLowerDownL/R": 0.3},
-    {"noseSneerL/R": 0.6, "mouthUpperUpL/R": 0.4},
-    {"jawForward": 0.6},
-    {"jawLeft": 0.5},
-    {"jawRight": 0.5},
-    {"cheekPuff": 0.6},
-    {"mouthLeft": 0.5},
-    {"mouthRight": 0.5},
-    {"mouthRollLower": 0.4, "mouthRollUpper": 0.3},
-)
-#: Syllables: quick, small openings in a row.
-SYLLABLES: tuple[dict[str, float], ...] = (
-    {"jawOpen": 0.25, "mouthLowerDownL/R": 0.2},
-    {"mouthFunnel": 0.35, "jawOpen": 0.12},
-    {"mouthStretchL/R": 0.3, "jawOpen": 0.1},
-    {"mouthPucker": 0.4, "jawOpen": 0.08},
-)
-BROW_GESTURES: tuple[dict[str, float], ...] = (
-    {"browInnerUp": 0.6, "browOuterUpL/R": 0.6, "eyeWideL/R": 0.4},
-    {"browDownL/R": 0.6},
-    {"browInnerUp": 0.7},
-    {"browOuterUpLeft": 0.6},
-    {"browOuterUpRight": 0.6},
-)
-_SIDES = ("Left", "Right")
+_LAUGH = 0.12  # chance, among expressions
+_FAST = 1.4  # mixed performances hurry: much happens in little time
+_MOOD_ATTACK_S, _MOOD_RELEASE_S = 0.8, 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,156 +60,267 @@ class Performance:
     Attributes
     ----------
     weights : Clip
-        ARKit weights, one channel a shape of the actor's head.
+        ARKit weights, one channel a shape of the actor's head; 0 during the first `NEUTRAL_S`
+        seconds.
     head_motion : HeadMotion
         World from head; the identity during the first `NEUTRAL_S` seconds.
+    phones : PhoneTrack, optional
+        What is said; None if nothing is.
+    events : tuple of ActingEvent
+        What happens, in order of time.
     """
 
     weights: Clip
     head_motion: HeadMotion
-
-
-def smooth_pulse(
-    t: NDArray[np.float64], start: float, attack: float, hold: float, release: float
-) -> NDArray[np.float64]:
-    """Rise, hold and fall with continuous acceleration (6 s⁵ − 15 s⁴ + 10 s³)."""
-    up = np.clip((t - start) / attack, 0, 1)
-    down = np.clip((t - start - attack - hold) / release, 0, 1)
-    rise, fall = (s**3 * (10 + s * (6 * s - 15)) for s in (up, down))
-    return np.asarray(rise - fall)
+    phones: PhoneTrack | None = None
+    events: tuple[ActingEvent, ...] = ()
 
 
 def random_performance(
-    rng: np.random.Generator, head: Head, *, seconds: float, rate_hz: float
+    rng: np.random.Generator,
+    head: Head,
+    *,
+    seconds: float,
+    rate_hz: float = PERFORMANCE_RATE_HZ,
+    style: str = "mixed",
+    phones: PhoneTrack | None = None,
 ) -> Performance:
     """Draw a performance for a head.
+
+    The same seed gives the same motion at every rate.
 
     Parameters
     ----------
     rng : numpy Generator
     head : Head
-        Its shapes name the channels, and its lids say how far a blink closes them.
+        Its shapes name the channels; what an ARKit shape it lacks would do stays undone.
     seconds, rate_hz : float
         Length and sampling.
+    style : str
+        ``"mixed"``: a hurried medley of gestures, expressions and babble; ``"expressions"``:
+        expressions and laughter, at their own pace; ``"speech"``: talk, with eyes, brows and head
+        to it; ``"range"``: the script of `range_of_motion` in random order, as far as time allows.
+    phones : PhoneTrack, optional
+        What to say, for "mixed" and "speech"; else babble is drawn.
+
+    Raises
+    ------
+    ValueError
+        If there is no such style, it does not speak, or the phones begin before `FIRST_SOUND_S`.
+    InputError
+        If the head has no shapes.
     """
-    t = np.arange(round(seconds * rate_hz)) / rate_hz
-    curves = {name: np.zeros(len(t)) for name in head.shape_names}
-    start = NEUTRAL_S
-    order = list(rng.permutation(len(MOUTH_GESTURES)))
-    while start < seconds - 0.2:
-        if rng.random() < 0.35:
-            start = _speak(rng, curves, t, start)
-        else:
-            gesture = MOUTH_GESTURES[order.pop() if order else rng.integers(len(MOUTH_GESTURES))]
-            hold = float(rng.uniform(0.05, 0.3))
-            _add(rng, curves, gesture, smooth_pulse(t, start, 0.22, hold, 0.25))
-            start += 0.22 + hold + 0.25 + float(rng.uniform(0.0, 0.1))
-    start = NEUTRAL_S + float(rng.uniform(0, 0.8))
-    while start < seconds - 0.3:
-        gesture = BROW_GESTURES[rng.integers(len(BROW_GESTURES))]
-        hold = float(rng.uniform(0.1, 0.5))
-        _add(rng, curves, gesture, smooth_pulse(t, start, 0.2, hold, 0.3))
-        start += 0.5 + hold + float(rng.uniform(0.2, 0.8))
-    _look_about(rng, curves, t)
-    for name, curve in curves.items():
-        np.clip(curve, 0, 1, out=curve)
-        curves[name] = curve
-    _blink(rng, head, curves, t)
-    values = np.stack(list(curves.values()), axis=1)
-    weights = Clip(t, tuple(curves), values)
-    return Performance(weights, _head_motion(rng, head, t))
+    if style not in STYLES:
+        raise ValueError(f"no style {style!r}; there are {', '.join(STYLES)}")
+    if phones is not None and style in ("expressions", "range"):
+        raise ValueError(f"style {style!r} does not speak: leave out phones, or choose another")
+    if style == "speech":
+        if phones is None:
+            phones = babble(rng, start_s=FIRST_SOUND_S + 0.1, end_s=seconds - 0.1)
+        strength = float(rng.uniform(0.8, 1.05))
+        return perform_speech(
+            rng, head, phones, seconds=seconds, rate_hz=rate_hz, strength=strength
+        )
+    t = _times(seconds, rate_hz)
+    if style == "range":
+        order = [RANGE_SCRIPT[i] for i in rng.permutation(len(RANGE_SCRIPT))]
+        while range_seconds(len(order)) > seconds and len(order) > 1:
+            order.pop()
+        return _performance(head, t, [range_layer(t, order)], None)
+    if style == "expressions":
+        layers = _expressions(rng, t, seconds)
+        return _alive(rng, head, t, layers, None, seconds=seconds, calm=1.0)
+    layers, phones = _medley(rng, t, seconds, phones)
+    return _alive(rng, head, t, layers, phones, seconds=seconds, calm=0.0)
 
 
-def _add(
-    rng: np.random.Generator,
-    curves: dict[str, NDArray[np.float64]],
-    gesture: dict[str, float],
-    pulse: NDArray[np.float64],
-) -> None:
-    strength = float(rng.uniform(0.9, 1.25))
-    for name, weight in gesture.items():
-        if name.endswith("L/R"):
-            for side in _SIDES:
-                uneven = float(rng.uniform(0.85, 1.15))
-                curves[name.removesuffix("L/R") + side] += strength * weight * uneven * pulse
-        else:
-            curves[name] += strength * weight * pulse
-
-
-def _speak(
-    rng: np.random.Generator,
-    curves: dict[str, NDArray[np.float64]],
-    t: NDArray[np.float64],
-    start: float,
-) -> float:
-    for _ in range(int(rng.integers(3, 6))):
-        half = float(rng.uniform(0.07, 0.12))
-        gesture = SYLLABLES[rng.integers(len(SYLLABLES))]
-        _add(rng, curves, gesture, smooth_pulse(t, start, half, 0.02, half))
-        start += 1.6 * half
-    return start + 0.1
-
-
-def _look_about(
-    rng: np.random.Generator, curves: dict[str, NDArray[np.float64]], t: NDArray[np.float64]
-) -> None:
-    start = NEUTRAL_S + float(rng.uniform(0, 0.5))
-    while start < t[-1]:
-        hold = float(rng.uniform(0.2, 0.7))
-        pulse = smooth_pulse(t, start, 0.05, hold, 0.05)  # a saccade lasts about 50 ms
-        yaw, pitch = rng.normal(0, 0.3, size=2)
-        left, right = ("Out", "In") if yaw > 0 else ("In", "Out")
-        curves[f"eyeLook{left}Left"] += abs(yaw) * pulse
-        curves[f"eyeLook{right}Right"] += abs(yaw) * pulse
-        for side in _SIDES:
-            curves[f"eyeLook{'Up' if pitch > 0 else 'Down'}{side}"] += abs(pitch) * pulse
-        start += hold + float(rng.uniform(0.3, 0.8))
-
-
-def _blink(
+def perform_speech(
     rng: np.random.Generator,
     head: Head,
-    curves: dict[str, NDArray[np.float64]],
-    t: NDArray[np.float64],
-) -> None:
-    """Close both lids until they meet, whatever else moves them: the shape alone overshoots."""
-    closed = np.zeros(len(t))
-    start = NEUTRAL_S + float(rng.uniform(0.1, 0.9))
-    while start < t[-1]:
-        closed = np.maximum(closed, smooth_pulse(t, start, 0.08, 0.03, 0.15))
-        start += float(rng.uniform(0.8, 2.0))
-    for side, upper, lower in (("Left", "3.1", "3.3"), ("Right", "3.2", "3.4")):
-        blink = f"eyeBlink{side}"
-        motion = _vertical(head, (upper, lower))  # (n_shapes, 2)
-        others = np.stack([curves[n] for n in head.shape_names], axis=1)
-        opening = head.points[upper][1] - head.points[lower][1]
-        gap = opening + others @ (motion[:, 0] - motion[:, 1])
-        i = head.shape_names.index(blink)
-        travel = motion[i, 1] - motion[i, 0]
-        curves[blink] = closed * np.clip(gap / travel, 0, 1)
+    phones: PhoneTrack,
+    *,
+    seconds: float | None = None,
+    rate_hz: float = PERFORMANCE_RATE_HZ,
+    mood: Mapping[str, float] | None = None,
+    strength: float = 1.0,
+) -> Performance:
+    """Someone saying phones: mouth, beats of head and brows, gaze, blinks, breath.
+
+    Parameters
+    ----------
+    rng : numpy Generator
+    head : Head
+    phones : PhoneTrack
+        In the performance's time: the first sound not before `FIRST_SOUND_S`.
+    seconds : float, optional
+        Length; by default until a second after the last sound.
+    rate_hz : float
+    mood : mapping from expression to intensity in [0, 1], optional
+        Worn all the while; fainter about the mouth while it speaks.
+    strength : float
+        Of articulation: 0.7 mumbles, 1.2 is emphatic.
+
+    Raises
+    ------
+    ValueError
+        If the first sound is before `FIRST_SOUND_S`, or a mood is unknown.
+    InputError
+        If the head has no shapes.
+    """
+    if seconds is None:
+        seconds = (float(phones.end_s[-1]) if len(phones) else NEUTRAL_S) + 1.0
+    t = _times(seconds, rate_hz)
+    layers = [speech_beats(rng, t, accents(phones))]
+    spoken = mouth_of_speech(t, phones, strength=strength)
+    for name, intensity in (mood or {}).items():
+        hold = max(0.1, seconds - NEUTRAL_S - _MOOD_ATTACK_S - _MOOD_RELEASE_S - 0.1)
+        curves = uneven_pulses(
+            rng, t, expression_weights(name, intensity), NEUTRAL_S, _MOOD_ATTACK_S, hold,
+            _MOOD_RELEASE_S,
+        )  # fmt: skip
+        end = NEUTRAL_S + _MOOD_ATTACK_S + hold + _MOOD_RELEASE_S
+        layers.append(Layer(curves, (ActingEvent("expression", name, NEUTRAL_S, end, intensity),)))
+    layers += draw_brows(rng, t, seconds=seconds, pause_s=(1.5, 4.0))
+    layers = [*_yielding(layers, spoken), spoken]
+    return _alive(rng, head, t, layers, phones, seconds=seconds, calm=0.7)
 
 
-def _vertical(head: Head, points: tuple[str, str]) -> NDArray[np.float64]:
-    """How each shape moves two feature points in y, (n_shapes, 2) mm."""
-    assert head.shapes is not None
-    chosen = head.feature_points.select(points)
-    moved = head.shapes[:, chosen.corners, 1]
-    return np.asarray(np.einsum("nc,snc->sn", chosen.barycentric, moved))
+def range_of_motion(
+    head: Head, *, rate_hz: float = PERFORMANCE_RATE_HZ, seconds: float | None = None
+) -> Performance:
+    """Every gesture of `RANGE_SCRIPT` once, alone and large: nothing is random.
+
+    Parameters
+    ----------
+    head : Head
+    rate_hz : float
+    seconds : float, optional
+        Length; by default that of the script.
+    """
+    t = _times(range_seconds() if seconds is None else seconds, rate_hz)
+    return _performance(head, t, [range_layer(t)], None)
 
 
-def _head_motion(rng: np.random.Generator, head: Head, t: NDArray[np.float64]) -> HeadMotion:
-    """Slow turns about the neck joint and small shifts, starting from rest."""
-    envelope = smooth_pulse(t, NEUTRAL_S, 0.8, 1e6, 1.0)
+def _times(seconds: float, rate_hz: float) -> Floats:
+    n = round(seconds * rate_hz)
+    if n < 2:
+        raise ValueError(
+            f"a performance needs two samples; {seconds:g} s at {rate_hz:g} Hz give {n}"
+        )
+    return np.arange(n) / rate_hz
 
-    def wander(sd: float) -> NDArray[np.float64]:
-        f = rng.uniform(0.15, 0.9, size=3)
-        phase = rng.uniform(0, 2 * np.pi, size=3)
-        waves = np.sin(2 * np.pi * f * t[:, None] + phase) - np.sin(phase)
-        return np.asarray(sd / np.sqrt(3) * waves.sum(axis=1) * envelope)
 
-    degrees = np.stack([wander(4.0), wander(7.0), wander(3.0)], axis=1)
-    rotation = rotation_of_faps(np.deg2rad(degrees) / ANGLE_UNIT_RAD)
-    shift = np.stack([wander(5.0), wander(4.0), wander(6.0)], axis=1)
-    pivot = head.neck_pivot
-    translation = pivot - rotation @ pivot + shift
-    return HeadMotion(t, quaternion_from_rotation(rotation), translation)
+def _medley(
+    rng: np.random.Generator, t: Floats, seconds: float, phones: PhoneTrack | None
+) -> tuple[list[Layer], PhoneTrack | None]:
+    """Gestures, expressions and babble in turn; with phones given, these instead of babble."""
+    acted: list[Layer] = []
+    said: list[tuple[str, float, float]] = []
+    gestures = [str(n) for n in rng.permutation(list(MOUTH_GESTURES))]
+    now, bag = NEUTRAL_S, list[str]()
+    while now < seconds - 0.4:
+        bag = bag or [str(k) for k in rng.permutation(_MEDLEY)]
+        kind = bag.pop()
+        if kind == "phrase" and phones is None:
+            start = max(now, FIRST_SOUND_S)
+            for phone, length in babble_phrase(rng, syllables=int(rng.integers(2, 6))):
+                said.append((phone, start, start + length))
+                start += length
+            now = start + 0.1
+            continue
+        if kind == "expression":
+            layer, now = draw_expression(rng, t, now, quick=_FAST)
+        else:
+            gestures = gestures or [str(n) for n in rng.permutation(list(MOUTH_GESTURES))]
+            layer, now = draw_gesture(rng, t, now, gestures.pop())
+        acted.append(layer)
+    acted += draw_brows(rng, t, seconds=seconds, pause_s=(0.2, 1.0))
+    if phones is None:
+        phones = _track(said, seconds)
+    if phones is None:
+        return acted, None
+    spoken = mouth_of_speech(t, phones, strength=float(rng.uniform(0.9, 1.1)))
+    beats = speech_beats(rng, t, accents(phones))
+    return [*_yielding(acted, spoken), beats, spoken], phones
+
+
+_MEDLEY = ("gesture", "gesture", "gesture", "expression", "expression", "phrase")
+
+
+def _expressions(rng: np.random.Generator, t: Floats, seconds: float) -> list[Layer]:
+    found = []
+    now = NEUTRAL_S + float(rng.uniform(0.1, 0.5))
+    while now < seconds - 0.4:
+        if rng.random() < _LAUGH:
+            layer, now = draw_laugh(rng, t, now)
+        else:
+            layer, now = draw_expression(rng, t, now)
+        found.append(layer)
+        now += float(rng.uniform(0.0, 0.6))
+    return found
+
+
+def _track(said: list[tuple[str, float, float]], seconds: float) -> PhoneTrack | None:
+    """Phones of a medley that end in time, with silences between; None if there are none."""
+    kept: list[tuple[str, float, float]] = []
+    for phone, start, end in said:
+        if end > seconds - 0.05:
+            break
+        if kept and start - kept[-1][2] > 1e-6:
+            kept.append((SILENCE, kept[-1][2], start))
+        kept.append((phone, start, end))
+    if not kept:
+        return None
+    return PhoneTrack(
+        tuple(k[0] for k in kept), np.array([k[1] for k in kept]), np.array([k[2] for k in kept])
+    )
+
+
+def _yielding(layers: list[Layer], spoken: Layer) -> list[Layer]:
+    speaking = spoken.curves[SPEAKING]
+    return [Layer(yield_to_speech(layer.curves, speaking), layer.events) for layer in layers]
+
+
+def _alive(
+    rng: np.random.Generator,
+    head: Head,
+    t: Floats,
+    layers: list[Layer],
+    phones: PhoneTrack | None,
+    *,
+    seconds: float,
+    calm: float,
+) -> Performance:
+    """Add what living faces do besides: eyes, blinks, head, breath, idle motion.
+
+    `calm`, 0 to 1, lengthens fixations and the pauses between movements of the head.
+    """
+    looks = draw_looks(rng, seconds=seconds, fixation_s=(0.25 + 0.4 * calm, 0.9 + 1.8 * calm))
+    pause = (0.2 + 0.8 * calm, 0.8 + 3.0 * calm)
+    body = add_layers(
+        [
+            *layers,
+            head_of_looks(rng, t, looks),
+            head_gestures(rng, t, seconds=seconds, pause_s=pause),
+            sway_and_breath(rng, t),
+        ]
+    )
+    yaw, pitch = body.curves["head.yaw"], body.curves["head.pitch"]
+    eyes = eyes_of_looks(rng, t, looks, yaw, pitch, seconds=seconds)
+    lids = blinks(rng, t, seconds=seconds, looks=looks)
+    return _performance(head, t, [body, eyes, lids, idle(rng, t)], phones)
+
+
+def _performance(
+    head: Head, t: Floats, layers: list[Layer], phones: PhoneTrack | None
+) -> Performance:
+    if not head.shape_names:
+        raise InputError(f"head {head.name} has no sculpted shapes to act with")
+    whole = add_layers(layers)
+    curves = limit(whole.curves)
+    none = np.zeros(len(t))
+    values = np.stack([curves.get(name, none) for name in head.shape_names], axis=1)
+    weights = Clip(t, head.shape_names, np.clip(values, 0, 1))
+    moves = Layer({n: c for n, c in curves.items() if n in HEAD_CURVES})
+    events = tuple(e for e in whole.events if e.start_s < t[-1])
+    return Performance(weights, head_motion(t, moves, head.neck_pivot), phones, events)

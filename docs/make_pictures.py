@@ -2,9 +2,9 @@
 
     python docs/make_pictures.py [--demo DIR] [NAME ...]
 
-Without ``--demo`` a demo is run first, into a temporary folder (some minutes); NAME chooses single
-pictures. The picture of the page needs Chromium, its driver and the package selenium; without
-them it is left as it is, and that is said.
+NAME chooses single pictures. Some show the results of a demo: without ``--demo`` one is run first,
+into a temporary folder (some minutes). The picture of the page needs Chromium, its driver and the
+package selenium; without them it is left as it is, and that is said.
 """
 
 from __future__ import annotations
@@ -23,15 +23,31 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from facewright.cli.demo import demo
+from facewright.core.boards import parse_board
 from facewright.core.clip import Clip
 from facewright.core.formats.rig_json import read_rig
-from facewright.core.mesh import vertex_normals
+from facewright.core.mesh import Mesh, vertex_normals
 from facewright.core.mpeg4 import fap_by_name
 from facewright.core.rigid import Rigid
 from facewright.core.video import read_frames
+from facewright.datasets_synthetic.boards import board_views, make_board_shots
+from facewright.datasets_synthetic.face_motion import FaceMotion
+from facewright.datasets_synthetic.film_views import open_views
+from facewright.datasets_synthetic.photo_pictures import Photographer
+from facewright.datasets_synthetic.photos import PhotoSettings, plan_photos
+from facewright.datasets_synthetic.scan_meshes import scan_mesh
+from facewright.datasets_synthetic.scan_target import ScanTarget
+from facewright.datasets_synthetic.scans import scan_cylinder
+from facewright.datasets_synthetic.take_settings import TROUBLES, settings_for, settings_with
+from facewright.datasets_synthetic.takes import make_take
+from facewright.datasets_synthetic.voices import make_voice
+from facewright.heads.bones import make_bones
 from facewright.heads.catalogue import BUILT_IN, built_in_head
 from facewright.heads.chart import feature_point_chart
+from facewright.heads.expressions import EXPRESSIONS as BASIC_EXPRESSIONS
+from facewright.heads.expressions import expression_weights, viseme_weights
 from facewright.heads.head import Head
+from facewright.heads.identity import make_head, random_identity
 from facewright.heads.marker_sets import glue_markers, ready_marker_set
 from facewright.heads.raycast import NO_HIT, RayScene
 from facewright.heads.render import HeadRenderer, portrait_camera
@@ -91,6 +107,10 @@ EXPRESSIONS: dict[str, dict[str, float]] = {
 }
 #: Feature points whose influence is drawn, with the axis on which they are moved.
 INFLUENCES = (("4.3", 1), ("8.3", 0), ("2.3", 1))
+#: Visemes that are shown, with a sound of each.
+VISEMES = {"PP": "p", "FF": "f", "CH": "sh", "aa": "ah", "oh": "aw", "ou": "oo"}
+BOARDS = ("chessboard:9x6:25", "charuco:8x5:30:22:DICT_5X5_100", "circles:4x11:20:asymmetric")
+SENTENCE = "the baby is in the green house"
 
 
 def demo_still(folder: Path) -> list[Path]:
@@ -133,7 +153,7 @@ def feature_points(_: Path) -> list[Path]:
 def built_in_heads(_: Path) -> list[Path]:
     """All built-in heads."""
     panels = [_labelled(_portrait(built_in_head(name)), name) for name in BUILT_IN]
-    return [_save(_grid(panels, 4), "heads.jpg", width=1400)]
+    return [_save(_grid(panels, 5), "heads.jpg", width=1400)]
 
 
 def expressions(_: Path) -> list[Path]:
@@ -228,6 +248,145 @@ def page(folder: Path) -> list[Path]:
     return [_save(picture, "page.jpg", width=1200)]
 
 
+def people(_: Path) -> list[Path]:
+    """Thirty people drawn by chance, seeds 0 to 29 of `facewright synth head --age 6-85`."""
+    panels = []
+    for seed in range(30):
+        rng = np.random.default_rng([seed, 1])
+        someone = random_identity(rng, f"person-{seed}", age_years=(6.0, 85.0))
+        head = make_head(someone)
+        camera = portrait_camera(head, (300, 345))
+        picture = HeadRenderer(head).render(head.mesh.vertices, camera)
+        panels.append(_labelled(picture, f"{someone.age_years:.0f}"))
+    return [_save(_grid(panels, 6), "people.jpg", width=1200)]
+
+
+def acting(_: Path) -> list[Path]:
+    """MPEG-4's six expressions and six of its visemes, as synthetic actors make them."""
+    head = built_in_head("maya")
+    motion, renderer = FaceMotion(head), HeadRenderer(head)
+    camera = portrait_camera(head, (360, 400))
+    shown = {name: expression_weights(name) for name in BASIC_EXPRESSIONS}
+    shown |= {f"/{sound}/": viseme_weights(name) for name, sound in VISEMES.items()}
+    panels = []
+    for name, by_shape in shown.items():
+        weights = np.array([by_shape.get(shape, 0.0) for shape in head.shape_names])
+        panels.append(_labelled(renderer.render(motion.vertices(weights), camera), name))
+    return [_save(_grid(panels, 6), "acting.jpg", width=1400)]
+
+
+def take_frames(_: Path) -> list[Path]:
+    """What cameras see of takes: plain ones, spheres and dots, in trouble."""
+    plain = [
+        _film_frame("plain", 3, 0.8),
+        _film_frame("plain", 14, 1.6, troubles=("hand",)),
+    ]
+    marked = [
+        _film_frame("markers", 7, 1.4, look="spheres", brighter=2.0),
+        _film_frame(
+            "markers", 3, 1.2, look="dots", troubles=("blur", "hand", "clutter"), brighter=2.0
+        ),
+    ]
+    return [
+        _save(_grid(plain, 2), "plain_takes.jpg", width=1200),
+        _save(_grid(marked, 2), "marker_takes.jpg", width=1200),
+    ]
+
+
+def boards(_: Path) -> list[Path]:
+    """Shots of the three kinds of calibration boards."""
+    panels = []
+    for seed, name in enumerate(BOARDS, start=2):
+        shots = make_board_shots(parse_board(name), seed, n_views=1, image_size=(960, 720))
+        (grey,) = board_views(shots, shots.rig.names[0])
+        panels.append(np.repeat(grey[:, :, None], 3, axis=2))
+    return [_save(_grid(panels, 3), "boards.jpg", width=1200)]
+
+
+def photographs(_: Path) -> list[Path]:
+    """The photographs of one session."""
+    session = plan_photos(built_in_head("mei"), PhotoSettings(size=(760, 502)), 3)
+    photographer = Photographer(session)
+    panels = [photographer.take(shot) for shot in session.shots]
+    return [_save(_grid(panels, 2), "photos.jpg", width=1200)]
+
+
+def scans(_: Path) -> list[Path]:
+    """A cylindrical scan's range and colour, and a mesh by structured light."""
+    target = ScanTarget(built_in_head("kofi"), 1)
+    cylinder = scan_cylinder(target, 1)
+    r = cylinder.range_mm
+    low, high = np.nanpercentile(r, (1, 99))
+    grey = 40 + 215 * np.clip((r - low) / (high - low), 0, 1)
+    shown = np.repeat(np.nan_to_num(grey)[:, :, None], 3, axis=2)
+    shown[np.isnan(r)] = (24, 40, 92)
+    made = scan_mesh(target, 1, triangles=60_000)
+    back = made.scan_from_head.inverse()
+    mesh = Mesh(back.apply(made.mesh.vertices), made.mesh.triangles)
+    panels = [
+        _labelled(shown.astype(np.uint8), "range, voids in blue"),
+        _labelled(np.asarray(cylinder.colour), "colour"),
+        _labelled(_relief(mesh, made.colour, yaw_deg=28.0), "mesh"),
+    ]
+    return [_save(_grid(panels, 3), "scans.jpg", width=1200)]
+
+
+def bones_picture(_: Path) -> list[Path]:
+    """Skull and mandible in half a head, from the front and from the side."""
+    head = built_in_head("ruth")
+    bones = make_bones(head)
+    v, triangles = head.mesh.vertices, head.mesh.triangles
+    kept = np.concatenate([head.mesh.groups[n] for n in ("skin", "eye_left", "eye_right")])
+    is_right = v[triangles[kept]].mean(axis=1)[:, 0] < 0
+    parts = [
+        (Mesh(v, triangles[kept[is_right]]), (226, 176, 152)),
+        (bones.skull, (236, 226, 200)),
+        (bones.mandible, (206, 214, 226)),
+    ]
+    rows = np.cumsum([0, *(len(mesh.vertices) for mesh, _ in parts)])
+    joined = Mesh(
+        np.concatenate([mesh.vertices for mesh, _ in parts]),
+        np.concatenate([m.triangles + np.int32(r) for (m, _), r in zip(parts, rows, strict=False)]),
+    )
+    colour = np.concatenate(
+        [np.tile(np.array(c, np.uint8), (len(m.vertices), 1)) for m, c in parts]
+    )
+    panels = [_relief(joined, colour, yaw_deg=yaw) for yaw in (0.0, 45.0, 90.0)]
+    return [_save(_grid(panels, 3), "bones.jpg", width=1200)]
+
+
+def spectrogram(_: Path) -> list[Path]:
+    """A synthetic voice: its spectrogram with the true formants and phones over it."""
+    voice = make_voice(5, talker="man", text=SENTENCE)
+    rate, sound, truth = voice.audio.rate_hz, voice.audio.samples, voice.truth
+    top_hz, hop, n = 5000.0, rate // 250, 1024
+    window = np.hanning(rate // 125)  # 8 ms: broad bands, in which formants show
+    starts = np.arange(0, len(sound) - len(window), hop)
+    frames = np.stack([sound[i : i + len(window)] for i in starts]) * window
+    level = 20 * np.log10(np.abs(np.fft.rfft(frames, n)) + 1e-6)[:, : round(top_hz / rate * n)]
+    shade = np.clip((level.max() - level) / 65, 0, 1)
+    width, height, strip = 1200, 420, 34
+    picture = Image.fromarray(np.uint8(255 * shade.T[::-1])).convert("RGB").resize((width, height))
+    page = Image.new("RGB", (width, height + strip), (255, 255, 255))
+    page.paste(picture)
+    draw, font = ImageDraw.Draw(page), ImageFont.load_default(16)
+    seconds = len(sound) / rate
+    assert truth.formants_hz is not None
+    for row in range(0, len(truth.time_s), 4):
+        for k in range(4):
+            hz = truth.formants_hz[row, k]
+            if np.isfinite(hz):
+                x, y = truth.time_s[row] / seconds * width, height * (1 - hz / top_hz)
+                draw.ellipse([x - 2, y - 2, x + 2, y + 2], fill=(214, 40, 40))
+    for phone, start, end in zip(
+        truth.phones.phones, truth.phones.start_s, truth.phones.end_s, strict=True
+    ):
+        x0, x1 = start / seconds * width, end / seconds * width
+        draw.line([(x0, 0), (x0, height + strip)], fill=(90, 130, 190), width=1)
+        draw.text(((x0 + x1) / 2, height + 8), phone, font=font, fill=(20, 20, 20), anchor="ma")
+    return [_save(np.asarray(page), "voice.jpg", width=width)]
+
+
 #: In the order of making; each takes the demo's folder and returns what it wrote.
 MAKERS: Mapping[str, Callable[[Path], list[Path]]] = {
     "demo": demo_still,
@@ -238,8 +397,18 @@ MAKERS: Mapping[str, Callable[[Path], list[Path]]] = {
     "expressions": expressions,
     "markers": marker_placement,
     "influence": influence,
+    "people": people,
+    "acting": acting,
+    "takes": take_frames,
+    "boards": boards,
+    "photos": photographs,
+    "scans": scans,
+    "bones": bones_picture,
+    "voice": spectrogram,
     "page": page,
 }
+#: Those that show results of the demo.
+OF_DEMO = ("demo", "animation", "views", "page")
 
 
 def _frames_at(video: Path, times_s: tuple[float, ...]) -> list[tuple[float, Picture]]:
@@ -252,6 +421,46 @@ def _frames_at(video: Path, times_s: tuple[float, ...]) -> list[tuple[float, Pic
                 if len(found) == len(times_s):
                     return found
     raise SystemExit(f"{video} ends before {times_s[len(found)]} s: was the demo cut short?")
+
+
+def _film_frame(
+    kind: str,
+    seed: int,
+    time_s: float,
+    *,
+    look: str = "dots",
+    troubles: tuple[str, ...] = (),
+    brighter: float = 1.0,
+) -> Picture:
+    """One frame of a take by one camera, as it leaves the sensor."""
+    changes = {"seconds": 4.0, "cameras.count": 1}
+    for word in troubles:
+        changes |= TROUBLES[word]
+    take = make_take(seed, settings_with(settings_for(kind, look), changes))
+    name = take.rig.names[0]
+    image = open_views(take).film(name, time_s, np.random.default_rng(seed)).image
+    bright = np.clip(image.astype(np.float32) * brighter, 0, 255).astype(np.uint8)
+    return bright if bright.ndim == 3 else np.repeat(bright[:, :, None], 3, axis=2)
+
+
+def _relief(mesh: Mesh, colour: NDArray[np.uint8], *, yaw_deg: float) -> Picture:
+    """A mesh of the head frame in its vertices' colours, from far away; yaw to the left."""
+    size, per_mm = 512, 1.72
+    yaw = np.deg2rad(yaw_deg)
+    right, away = np.array([np.cos(yaw), 0, -np.sin(yaw)]), np.array([np.sin(yaw), 0, np.cos(yaw)])
+    y, x = ((size / 2 - 0.5 - np.mgrid[0:size, 0:size]) / per_mm).reshape(2, -1)
+    aim = np.array([0.0, -18.0, -55.0])
+    origins = aim + 900 * away - x[:, None] * right + (0, 1, 0) * y[:, None]
+    scene = RayScene(mesh.vertices, mesh.triangles)
+    _, triangle, uv = scene.cast(origins, np.tile(-away, (len(x), 1)))
+    is_hit = triangle != NO_HIT
+    corners = mesh.triangles[np.where(is_hit, triangle, 0)]
+    b = np.stack([1 - uv.sum(axis=1), uv[:, 0], uv[:, 1]], axis=1)
+    normal = np.einsum("nc,ncx->nx", b, vertex_normals(mesh.vertices, mesh.triangles)[corners])
+    light = np.abs(normal @ (0.5 * away - 0.45 * right + (0.0, 0.6, 0.0)))
+    flat = np.einsum("nc,ncx->nx", b, colour[corners].astype(np.float64))
+    found = np.where(is_hit[:, None], flat * (0.4 + 0.85 * light[:, None]), 28.0)
+    return np.clip(found, 0, 255).astype(np.uint8).reshape(size, size, 3)
 
 
 def _clip(head: Head, moves: Mapping[str, float]) -> Clip:
@@ -355,9 +564,10 @@ def main() -> None:
         sys.exit(f"no picture {', '.join(unknown)}; there are {', '.join(MAKERS)}")
     PICTURES.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        if options.demo is None:
+        names = options.names or list(MAKERS)
+        if options.demo is None and set(names) & set(OF_DEMO):
             demo(out=Path(folder) / "demo")
-        for name in options.names or MAKERS:
+        for name in names:
             for path in MAKERS[name](options.demo or Path(folder) / "demo"):
                 print(f"{path.relative_to(PICTURES.parent)}: {path.stat().st_size / 1e3:.0f} kB")
 

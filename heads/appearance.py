@@ -19,9 +19,11 @@ from ..core.arrays import readonly
 from .appearance_traits import AppearanceTraits, Rgb
 from .detail_paint import paint_details
 from .eye_paint import paint_eye
-from .skin_paint import paint_skin
+from .skin_paint import SKIN_PX, paint_skin
 from .template import Template
 from .texture_layout import appearance_uv
+
+_SMALLEST_PX = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,10 @@ class Appearance:
         The eyeball seen along its axis: iris in the middle. Both eyes share it.
     details : (H, W, 4) uint8, sRGB and alpha, or None
         Teeth, tongue and lashes; only the lashes are not opaque.
+    normal : (H, W, 3) uint8 or None
+        Fine relief of the skin over the same coordinates: a map of unit normals in the frame of
+        the tangents as glTF has it (red to the right in the picture, green up, blue out of the
+        skin; 128 is 0).
     uv : (U, 2) float64 in [0, 1], or None
         Replaces the rows of the mesh's `uv`: origin at the bottom left, each row within the
         texture of the part that uses it. None: the mesh's own, with `skin` on all parts.
@@ -48,6 +54,7 @@ class Appearance:
     eye: NDArray[np.uint8] | None = None
     details: NDArray[np.uint8] | None = None
     uv: NDArray[np.float64] | None = None
+    normal: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         set_field = object.__setattr__
@@ -60,6 +67,9 @@ class Appearance:
         if self.details is not None:
             d = readonly(self.details, (None, None, 4), "details", np.uint8)
             set_field(self, "details", d)
+        if self.normal is not None:
+            n = readonly(self.normal, (None, None, 3), "normal", np.uint8)
+            set_field(self, "normal", n)
         if self.uv is not None:
             set_field(self, "uv", readonly(self.uv, (None, 2), "uv"))
 
@@ -96,17 +106,30 @@ def _encoded(kind: str, image: NDArray[np.uint8], options: list[int]) -> bytes:
 
 
 @lru_cache(maxsize=6)
-def make_appearance(template: Template, traits: AppearanceTraits) -> Appearance:
-    """Paint a person's textures (about a second; the last few are kept).
+def make_appearance(
+    template: Template, traits: AppearanceTraits, *, size: int = SKIN_PX
+) -> Appearance:
+    """Paint a person's textures (the last few are kept).
 
     The same traits give the same bytes.
+
+    Parameters
+    ----------
+    template : Template
+    traits : AppearanceTraits
+    size : int, px
+        Of the skin's maps, at least 256. 2048 takes about a second; 1024 a third of it, and is
+        enough for faces of up to 400 pixels.
     """
+    if size < _SMALLEST_PX:
+        raise ValueError(f"size must be at least {_SMALLEST_PX}, got {size}")
     rng = np.random.default_rng(traits.seed)
-    skin, roughness = paint_skin(template, traits, rng)
+    skin = paint_skin(template, traits, size=size)
     return Appearance(
-        skin,
-        roughness,
-        paint_eye(traits, rng),
-        paint_details(traits, rng),
-        appearance_uv(template),
+        skin=skin.albedo,
+        roughness=skin.roughness,
+        normal=skin.normal,
+        eye=paint_eye(traits, rng),
+        details=paint_details(traits, rng),
+        uv=appearance_uv(template),
     )

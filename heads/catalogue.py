@@ -11,17 +11,19 @@ from ..core.errors import InputError
 from .head import Head
 from .identity import Identity, make_head, random_identity
 
-#: Name → seed of `random_identity`; None is the average of all phenotypes. Chosen by eye for
-#: being unlike each other.
-BUILT_IN: dict[str, int | None] = {
+#: Name → seed of `random_identity` and ages to draw from; None is the average of all phenotypes,
+#: and any adult. Chosen by eye for being unlike each other: seven adults, a child, an old man.
+BUILT_IN: dict[str, tuple[int, tuple[float, float] | None] | None] = {
     "average": None,
-    "ruth": 8,
-    "maya": 5,
-    "kofi": 10,
-    "luis": 11,
-    "noor": 1,
-    "mei": 2,
-    "arno": 4,
+    "ruth": (8, None),
+    "maya": (5, None),
+    "kofi": (10, None),
+    "luis": (11, None),
+    "noor": (1, None),
+    "mei": (2, None),
+    "arno": (4, None),
+    "amara": (17, (6.0, 12.0)),
+    "otto": (11, (70.0, 85.0)),
 }
 DEFAULT_HEAD = "ruth"
 
@@ -30,10 +32,11 @@ def built_in_identity(name: str) -> Identity:
     """Who a built-in head is; InputError naming them all if there is none of that name."""
     if name not in BUILT_IN:
         raise InputError(f"no built-in head {name}; there are {', '.join(BUILT_IN)}")
-    seed = BUILT_IN[name]
-    if seed is None:
+    drawn = BUILT_IN[name]
+    if drawn is None:
         return Identity(name)
-    return replace(random_identity(np.random.default_rng(seed)), name=name)
+    seed, ages = drawn
+    return replace(random_identity(np.random.default_rng(seed), age_years=ages), name=name)
 
 
 @cache

@@ -25,7 +25,7 @@ def paint_eye(traits: AppearanceTraits, rng: np.random.Generator) -> NDArray[np.
     r, angle = np.hypot(x, y) / 0.98, np.arctan2(y, x)
     theta = np.interp(r, (0, EYE_FRONT_SHARE, 1.0), (0, EYE_FRONT_RAD, np.pi))
     rho = theta / _IRIS_RAD  # 1 at the edge of the iris
-    sclera = linear_from_srgb(np.array([232, 224, 216]))
+    sclera = linear_from_srgb(np.array([220, 211, 203]))
     pink = linear_from_srgb(np.array([214, 172, 158]))
     light = sclera + smooth_step(1.6, 3.2, rho)[..., None] * 0.6 * (pink - sclera)
     veins = _drawn_veins(rng, n)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -38,9 +38,10 @@ class Head:
     name : str
     mesh : Mesh
         The neutral face. Groups: ``skin`` and those of ``eye_right``, ``eye_left``, ``lashes``,
-        ``teeth_upper``, ``teeth_lower``, ``tongue`` that it has.
+        ``teeth_upper``, ``teeth_lower``, ``tongue`` that it has. Its landmarks, if it has any, are
+        Farkas's (`landmarks`).
     feature_points : SurfacePoints
-        MPEG-4 feature points it has, by id.
+        MPEG-4 feature points on its surface, by id.
     eyes : mapping from ``"right"``, ``"left"`` to Eye
     jaw_pivot : (3,) float64, mm
         Middle of the hinge axis of the jaw, which runs along x.
@@ -51,6 +52,8 @@ class Head:
     shapes : (N, V, 3) float32, mm
         Offsets from the neutral face.
     appearance : Appearance
+    regions : mapping from name to (n,) int32
+        Triangle indices of regions of the skin; those of `regions.REGIONS` that it has.
     """
 
     name: str
@@ -62,6 +65,7 @@ class Head:
     appearance: Appearance
     shape_names: tuple[str, ...] = ()
     shapes: NDArray[np.float32] | None = None
+    regions: Mapping[str, NDArray[np.int32]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "jaw_pivot", readonly(self.jaw_pivot, (3,), "jaw_pivot"))
@@ -73,9 +77,17 @@ class Head:
 
     @cached_property
     def points(self) -> dict[str, NDArray[np.float64]]:
-        """Neutral positions of the feature points, (3,) mm each, head frame."""
+        """Neutral positions of the feature points, (3,) mm each, head frame.
+
+        Those on the surface and two that are not: 7.1, the neck pivot, and 11.5, the top of the
+        hair, which is that of the skull (11.4): heads have painted hair, without thickness.
+        """
         at = self.feature_points.at(self.mesh.vertices)
-        return dict(zip(self.feature_points.names, at, strict=True))
+        found = dict(zip(self.feature_points.names, at, strict=True))
+        found["7.1"] = self.neck_pivot
+        if "11.4" in found:
+            found["11.5"] = found["11.4"]
+        return found
 
     @cached_property
     def fapu(self) -> Fapu:

@@ -18,6 +18,9 @@ from .raycast import RayScene
 READY_SETS = ("kshirsagar",)
 #: How far from the lid's edge a lid marker is glued, so that upper and lower never touch.
 LID_OFFSET_MM = 1.8
+#: How far beside the corner of the mouth its marker is glued: in the crease it would be cut off.
+CORNER_OFFSET_MM = 2.0
+_CORNER_POINTS = {"8.3": 1.0, "8.4": -1.0}
 _LID_POINTS = {"3.1": 1.0, "3.2": 1.0, "3.3": -1.0, "3.4": -1.0}
 
 
@@ -52,6 +55,7 @@ def _marker_spot(head: Head, marker_set: MarkerSet, index: int) -> NDArray[np.fl
         raise InputError(f"head {head.name} has no feature point {marker.feature_point}")
     spot = np.array(head.points[marker.feature_point])
     spot[1] += _LID_POINTS.get(marker.feature_point, 0.0) * LID_OFFSET_MM
+    spot[0] += _CORNER_POINTS.get(marker.feature_point, 0.0) * CORNER_OFFSET_MM
     return spot
 
 

@@ -2,8 +2,9 @@
 
 Run by the project when the template changes: ``python -m facewright.heads.place_feature_points``.
 All built-in heads share the template's topology, so a point placed here is on all of them. Points
-are placed on the subject's left and mirrored. The table is then checked by eye on the chart that
-``facewright synth head --out DIR`` draws.
+are placed on the subject's left and mirrored. Of the 84 two are no points of the skin, and
+`Head.points` adds them: 7.1, the centre of the head's rotation, and 11.5, the top of the hair. The
+table is then checked by eye on the chart that ``facewright synth head --out DIR`` draws.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ from .template import Template, load_template
 
 Point = NDArray[np.float64]
 _SCAN_MM = 0.1
-_CHIN_SLOPE = 0.7  # of depth over height: still seen from the front when the jaw drops
+CHIN_SLOPE = 0.7  # of depth over height: still seen from the front when the jaw drops
+_EAR_CONTACTS = (-42.5, -60.5), (-1.0, -64.5)  # y, z of the lower and the upper one
 _LIP_BORDER = 0.9  # of the mask: where the crease between vermilion and skin lies
 
 
-class _Face:
+class TemplateFace:
     """The template's skin with the measurements that the rules speak of."""
 
     def __init__(self, template: Template) -> None:
@@ -105,7 +107,7 @@ class _Face:
 
 def place(template: Template) -> list[tuple[str, Point, str, str]]:
     """All points that the built-in heads carry: (id, position mm, part, rule)."""
-    face = _Face(template)
+    face = TemplateFace(template)
     rules: dict[str, tuple[Callable[[], Point], str, str]] = {}
 
     def rule(fp: str, how: str, find: Callable[[], Point], part: str = "skin") -> None:
@@ -128,7 +130,7 @@ def place(template: Template) -> list[tuple[str, Point, str, str]]:
     return sorted(found, key=lambda row: order.index(row[0]))
 
 
-def _mouth_rules(face: _Face, rule: Callable[..., None]) -> None:
+def _mouth_rules(face: TemplateFace, rule: Callable[..., None]) -> None:
     lip_rows = np.flatnonzero(face.lips > 0.5)
     outer_rows = np.intersect1d(lip_rows, face.skin)
     corner = face.v[outer_rows[np.argmax(face.v[outer_rows, 0])]]
@@ -150,7 +152,7 @@ def _mouth_rules(face: _Face, rule: Callable[..., None]) -> None:
     rule("2.4", "2 mm inside the outer corner", lambda: corner + (-2.0, 0.0, 0.5))
 
 
-def _eye_rules(face: _Face, rule: Callable[..., None]) -> None:
+def _eye_rules(face: TemplateFace, rule: Callable[..., None]) -> None:
     columns = [(float(x), *face.lid_gap(float(x))) for x in np.arange(14.0, 52.0, 0.25)]
     open_columns = [c for c in columns if c[1] > c[2]]
     x_in, x_out = open_columns[0][0] - 0.5, open_columns[-1][0] + 0.5
@@ -176,7 +178,7 @@ def _eye_rules(face: _Face, rule: Callable[..., None]) -> None:
     rule("4.5", "16 mm above the outer eye corner", lambda: face.front(brow_out, outer[1] + 15.5))
 
 
-def _face_rules(face: _Face, rule: Callable[..., None]) -> None:
+def _face_rules(face: TemplateFace, rule: Callable[..., None]) -> None:
     nose = face.profile(-20.0, -50.0)
     tip = nose[np.argmax(nose[:, 2])]
     under = face.profile(tip[1] - 3.0, -58.0)
@@ -198,7 +200,7 @@ def _face_rules(face: _Face, rule: Callable[..., None]) -> None:
     rule("2.10", "mid-line: foremost point of the chin", lambda: boss)
     low = face.profile(boss[1], -112.0)
     slope = np.gradient(low[:, 2], low[:, 1])
-    bottom = low[np.argmax(slope > _CHIN_SLOPE)]  # where the skin turns under
+    bottom = low[np.argmax(slope > CHIN_SLOPE)]  # where the skin turns under
     rule("2.1", "mid-line: where the chin turns under", lambda: bottom)
     rule("2.11", "chin, left", lambda: face.front(18.0, boss[1] - 3.0))
     rule("2.13", "jaw angle", lambda: face.side(-74.0, -38.0))
@@ -208,6 +210,9 @@ def _face_rules(face: _Face, rule: Callable[..., None]) -> None:
     rule("10.1", "ear: highest point", lambda: ear[np.argmax(ear[:, 1])])
     rule("10.3", "ear: farthest back", lambda: ear[np.argmin(ear[:, 2])])
     rule("10.5", "ear: lowest point", lambda: ear[np.argmin(ear[:, 1])])
+    low, high = (face.side(y, z) for y, z in _EAR_CONTACTS)
+    rule("10.7", "ear: lower contact with the face, by coordinates", lambda: low)
+    rule("10.9", "ear: upper contact with the face, by coordinates", lambda: high)
     rule("11.1", "mid-line: hair line", lambda: face.front(0.0, 70.0))
     rule("11.3", "hair line above the outer brow", lambda: face.front(45.0, 62.0))
     crown = face.v[np.argmax(face.v[:, 1])]
@@ -216,7 +221,7 @@ def _face_rules(face: _Face, rule: Callable[..., None]) -> None:
     rule("11.6", "back of the skull at eye height", lambda: back * (0, 1, 1))
 
 
-def _inner_rules(face: _Face, rule: Callable[..., None]) -> None:
+def _inner_rules(face: TemplateFace, rule: Callable[..., None]) -> None:
     tongue = face.v[face.template.vertices_of("tongue")]
     mid = tongue[np.abs(tongue[:, 0]) < 1.0]
     tip = mid[np.argmax(mid[:, 2])]

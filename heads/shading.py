@@ -8,15 +8,14 @@ from numba import njit
 from .srgb import linear_from_srgb
 
 #: Part codes of the shading loop.
-SKIN, EYE, EYE_LEFT, LASH, TEETH, TONGUE = range(6)
-#: Colours of the lights; where they stand is in `stage_lights`.
-_KEY_COLOUR = np.array([1.00, 0.92, 0.83]) * 2.75
-_FILL_COLOUR = np.array([0.80, 0.90, 1.00]) * 0.36
-_RIM_COLOUR = np.array([0.85, 0.93, 1.00]) * 1.5
-_SKY_COLOUR = np.array([0.94, 0.97, 1.03]) * 0.37
-_GROUND_COLOUR = np.array([1.0, 0.86, 0.78]) * 0.18
-_EXPOSURE = 1.0
-_SHOULDER = 0.5  # of white: light above is compressed
+SKIN, EYE, EYE_LEFT, LASH, TEETH, TONGUE, EXTRA = range(7)
+#: What thin flesh, full of blood, lets through of red, green and blue.
+_THROUGH = np.array([0.62, 0.115, 0.060], dtype=np.float32)
+#: Share of the smooth surface's normal, not the normal map's, in the red, green and blue light
+#: that comes back out of the skin: it has travelled under the pores (Ma et al. 2007).
+_SMOOTHED = np.array([0.75, 0.40, 0.25], dtype=np.float32)
+_WRAP = np.array([0.29, 0.16, 0.12], dtype=np.float32)  # how far light creeps past the shadow line
+_CORNEA_F0, _SKIN_F0, _TEETH_F0 = 0.03, 0.032, 0.04
 #: Linear light of each sRGB value.
 LINEAR_OF_SRGB = linear_from_srgb(np.arange(256)).astype(np.float32)
 
@@ -42,140 +41,178 @@ def vertex_normals(v, triangles):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def shade_rows(  # type: ignore[no-untyped-def]
-    triangle, weights, lash, directions, triangles, uv_triangles, uv, part, normals, lamps, sky,
-    eye_light, axes, skin, roughness, eye, details, linear, lights, n_side, light_out, cover_out,
-    first_row, last_row,
+def shade_samples(  # type: ignore[no-untyped-def]
+    triangle, weights, hidden_by_lash, directions, light_at, triangles, part, places, normals,
+    lamps, sky, through, axes, colours, extra_roughness, uv_triangles, uv, skin, roughness,
+    normal_map, eye, details, linear, lights, light_colours, spreads, light_out, cover_out,
+    first_sample, last_sample,
 ):  # fmt: skip
-    """Light (premultiplied) and coverage of rows of pixels."""
+    """Light (N, 3), premultiplied, and coverage (N,) of samples."""
     # one loop: cut into functions, even inlined ones, it was measured a third slower
-    albedo, n = np.zeros(3, np.float32), np.zeros(3, np.float32)
+    albedo, n, smooth = np.zeros(3, np.float32), np.zeros(3, np.float32), np.zeros(3, np.float32)
     view, shine = np.zeros(3, np.float32), np.zeros(3, np.float32)
     lash_colour = np.zeros(3, np.float32)
     _texel(details[:, :, :3], linear, 0.5, 0.1, lash_colour)
-    for y in range(first_row, last_row):
-        for x in range(light_out.shape[1]):
-            sum0, sum1, sum2, cover = 0.0, 0.0, 0.0, 0.0
-            for s in range(n_side * n_side):
-                j, i = y * n_side + s // n_side, x * n_side + s % n_side
-                hidden = lash[j, i]
-                f = triangle[j, i]
-                if f == 4294967295:
-                    cover += hidden
-                    sum0 += hidden * lash_colour[0]
-                    sum1 += hidden * lash_colour[1]
-                    sum2 += hidden * lash_colour[2]
-                    continue
-                w1, w2 = weights[j, i, 0], weights[j, i, 1]
-                w0 = 1 - w1 - w2
-                a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
-                ta, tb, tc = uv_triangles[f, 0], uv_triangles[f, 1], uv_triangles[f, 2]
-                u = w0 * uv[ta, 0] + w1 * uv[tb, 0] + w2 * uv[tc, 0]
-                v = w0 * uv[ta, 1] + w1 * uv[tb, 1] + w2 * uv[tc, 1]
-                length = 0.0
-                for k in range(3):
-                    n[k] = w0 * normals[a, k] + w1 * normals[b, k] + w2 * normals[c, k]
-                    view[k] = -directions[j, i, k]
-                    length += n[k] * n[k]
-                length = np.sqrt(max(length, 1e-12))
+    first_extra, n_head = len(uv_triangles), len(normals) - len(colours)
+    window = np.cos(max(spreads[0], 0.06) * 0.9)
+    for s in range(first_sample, last_sample):
+        hidden = hidden_by_lash[s]
+        f = triangle[s]
+        if f == 4294967295:
+            cover_out[s] = hidden
+            for k in range(3):
+                light_out[s, k] = hidden * lash_colour[k]
+            continue
+        w1, w2 = weights[s, 0], weights[s, 1]
+        w0 = 1 - w1 - w2
+        a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+        length = 0.0
+        for k in range(3):
+            n[k] = w0 * normals[a, k] + w1 * normals[b, k] + w2 * normals[c, k]
+            view[k] = -directions[s, k]
+            length += n[k] * n[k]
+        length = np.sqrt(max(length, 1e-12))
+        for k in range(3):
+            n[k] /= length
+            smooth[k] = n[k]
+        nv = n[0] * view[0] + n[1] * view[1] + n[2] * view[2]
+        kind = part[f]
+        # rounded barycentric weights may be just below 0, and powers are taken below
+        lit = max(w0 * lamps[a, 0] + w1 * lamps[b, 0] + w2 * lamps[c, 0], 0.0)
+        rim_lit = max(w0 * lamps[a, 1] + w1 * lamps[b, 1] + w2 * lamps[c, 1], 0.0)
+        open_ = max(w0 * sky[a] + w1 * sky[b] + w2 * sky[c], 0.0)
+        wrap_more, f0, rough, gain, u, v = 0.0, _SKIN_F0, 0.5, 1.0, 0.0, 0.0
+        if kind != EXTRA:
+            ta, tb, tc = uv_triangles[f, 0], uv_triangles[f, 1], uv_triangles[f, 2]
+            u = w0 * uv[ta, 0] + w1 * uv[tb, 0] + w2 * uv[tc, 0]
+            v = w0 * uv[ta, 1] + w1 * uv[tb, 1] + w2 * uv[tc, 1]
+        if kind == SKIN:
+            _texel(skin, linear, u, v, albedo)
+            rough = _grey(roughness, u, v) / 255.0
+            gain = 1.0 - 0.6 * max(rough - 0.6, 0.0) / 0.4
+            # tangent frame of the coordinates (glTF: green is up in the picture)
+            s1, s2 = uv[tb, 0] - uv[ta, 0], uv[tc, 0] - uv[ta, 0]
+            t1, t2 = uv[tb, 1] - uv[ta, 1], uv[tc, 1] - uv[ta, 1]
+            det = s1 * t2 - s2 * t1
+            if normal_map.shape[0] > 4 and det != 0:
+                flip = 1.0 if det > 0 else -1.0
+                x0 = flip * (
+                    t2 * (places[b, 0] - places[a, 0]) - t1 * (places[c, 0] - places[a, 0])
+                )
+                x1 = flip * (
+                    t2 * (places[b, 1] - places[a, 1]) - t1 * (places[c, 1] - places[a, 1])
+                )
+                x2 = flip * (
+                    t2 * (places[b, 2] - places[a, 2]) - t1 * (places[c, 2] - places[a, 2])
+                )
+                along = x0 * n[0] + x1 * n[1] + x2 * n[2]
+                x0, x1, x2 = x0 - along * n[0], x1 - along * n[1], x2 - along * n[2]
+                length = np.sqrt(max(x0 * x0 + x1 * x1 + x2 * x2, 1e-24))
+                x0, x1, x2 = x0 / length, x1 / length, x2 / length
+                _raw_texel(normal_map, u, v, shine)
+                mx, my = shine[0] / 127.5 - 1.00392, shine[1] / 127.5 - 1.00392
+                mz = max(shine[2] / 127.5 - 1.0, 0.1)
+                my *= flip
+                y0 = n[1] * x2 - n[2] * x1
+                y1 = n[2] * x0 - n[0] * x2
+                y2 = n[0] * x1 - n[1] * x0
+                n[0] = mx * x0 + my * y0 + mz * smooth[0]
+                n[1] = mx * x1 + my * y1 + mz * smooth[1]
+                n[2] = mx * x2 + my * y2 + mz * smooth[2]
+                length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
                 for k in range(3):
                     n[k] /= length
-                nv = n[0] * view[0] + n[1] * view[1] + n[2] * view[2]
-                kind = part[f]
-                # rounded barycentric weights may be just below 0, and powers are taken below
-                lit = max(w0 * lamps[a, 0] + w1 * lamps[b, 0] + w2 * lamps[c, 0], 0.0)
-                rim_lit = max(w0 * lamps[a, 1] + w1 * lamps[b, 1] + w2 * lamps[c, 1], 0.0)
-                open_ = max(w0 * sky[a] + w1 * sky[b] + w2 * sky[c], 0.0)
-                wrap_r, wrap_gb, f0, rough, gain = 0.30, 0.12, 0.028, 0.5, 1.0
-                if kind == SKIN:
-                    _texel(skin, linear, u, v, albedo)
-                    rx = min(int(u * roughness.shape[1]), roughness.shape[1] - 1)
-                    ry = min(int((1 - v) * roughness.shape[0]), roughness.shape[0] - 1)
-                    rough = roughness[max(ry, 0), max(rx, 0)] / 255.0
-                    gain = 1.0 - 0.6 * max(rough - 0.6, 0.0) / 0.4
-                elif kind <= EYE_LEFT:
-                    _texel(eye, linear, u, v, albedo)
-                    lit = eye_light[j, i]
-                    lit = 0.18 + 0.82 * lit * lit
-                    open_ = lit
-                    wrap_r, wrap_gb, f0, rough = 0.35, 0.30, 0.03, 0.10
-                else:
-                    _texel(details[:, :, :3], linear, u, v, albedo)
-                    wrap_r, wrap_gb, f0, rough = 0.35, 0.25, 0.04, 0.28
-                    if kind == TEETH:
-                        lit *= np.sqrt(open_)
-                if nv < 0 and kind == SKIN:  # the inside of the cut neck
-                    albedo[0] *= 0.05
-                    albedo[1] *= 0.05
-                    albedo[2] *= 0.05
-                lit_r = lit**0.75  # blood carries red light into the shadow
-                nk = n[0] * lights[0, 0] + n[1] * lights[0, 1] + n[2] * lights[0, 2]
-                nf = n[0] * lights[1, 0] + n[1] * lights[1, 1] + n[2] * lights[1, 2]
-                nr = n[0] * lights[2, 0] + n[1] * lights[2, 1] + n[2] * lights[2, 2]
-                up = n[0] * lights[3, 0] + n[1] * lights[3, 1] + n[2] * lights[3, 2]
-                key_r = max(0.0, (nk + wrap_r) / (1 + wrap_r)) * lit_r
-                key_g = max(0.0, (nk + wrap_gb) / (1 + wrap_gb)) * lit
-                fill = max(0.0, (nf + 0.3) / 1.3) * open_
-                rim = max(0.0, nr) * rim_lit * (1 - min(max(nv, 0.0), 1.0)) ** 1.5
-                sky_share = 0.5 + 0.5 * up
-                # light that bounces within a hollow takes the skin's colour (Jimenez et al. 2016)
+            if nv < 0:  # the inside of the cut neck
                 for k in range(3):
-                    shade = open_
-                    if kind == SKIN or kind > EYE_LEFT:
-                        q = albedo[k]
-                        bounce = ((2.0404 * q - 0.3324) * open_ - 4.7951 * q + 0.6417) * open_
-                        shade = max(open_, (bounce + 2.7552 * q + 0.6903) * open_)
-                    around = (
-                        _SKY_COLOUR[k] * sky_share + _GROUND_COLOUR[k] * (1 - sky_share)
-                    ) * shade
-                    direct = _KEY_COLOUR[k] * (key_r if k == 0 else key_g)
-                    direct += _FILL_COLOUR[k] * fill + _RIM_COLOUR[k] * rim
-                    shine[k] = albedo[k] * (direct * 0.3183 * 1.15 + around)
-                if kind in (EYE, EYE_LEFT):
-                    # the cornea bulges: its normal turns faster than the ball's
-                    axis = axes[kind - EYE]
-                    turn = 0.0
-                    for k in range(3):
-                        turn += n[k] * axis[k]
-                    dome = min(max((turn - 0.86) / 0.06, 0.0), 1.0)
-                    length = 0.0
-                    for k in range(3):
-                        n[k] = axis[k] + (n[k] - axis[k]) * (1 + 0.75 * dome)
-                        length += n[k] * n[k]
-                    for k in range(3):
-                        n[k] /= np.sqrt(length)
-                    glint = _window(n, view, lights[0]) * dome * lit
-                    wet = _highlight(n, view, lights[0], 0.20, 0.03) * lit * (1 - dome) * 0.5
-                    flare = _highlight(n, view, lights[1], 0.22, 0.03) * lit
-                    for k in range(3):
-                        shine[k] += 0.85 * glint + _KEY_COLOUR[k] * wet + _FILL_COLOUR[k] * flare
-                else:
-                    first = _highlight(n, view, lights[0], rough, f0) * lit
-                    second = _highlight(n, view, lights[1], rough, f0) * open_ * open_
-                    third = _highlight(n, view, lights[2], rough, f0) * rim_lit * 0.8
-                    for k in range(3):
-                        shine[k] += gain * (
-                            _KEY_COLOUR[k] * first
-                            + _FILL_COLOUR[k] * second
-                            + _RIM_COLOUR[k] * third
-                        )
-                    edge = (1 - min(max(nv, 0.0), 1.0)) ** 4 * 0.06 * open_ * gain
-                    for k in range(3):
-                        shine[k] += _SKY_COLOUR[k] * edge
-                for k in range(3):
-                    q = shine[k] * _EXPOSURE
-                    if q > _SHOULDER:  # nothing clips hard
-                        q = 1 - (1 - _SHOULDER) * np.exp((_SHOULDER - q) / (1 - _SHOULDER))
-                    shine[k] = q * (1 - hidden) + hidden * lash_colour[k]
-                sum0 += shine[0]
-                sum1 += shine[1]
-                sum2 += shine[2]
-                cover += 1.0
-            count = n_side * n_side
-            light_out[y, x, 0] = sum0 / count
-            light_out[y, x, 1] = sum1 / count
-            light_out[y, x, 2] = sum2 / count
-            cover_out[y, x] = cover / count
+                    albedo[k] *= 0.05
+        elif kind == EXTRA:
+            for k in range(3):
+                albedo[k] = (
+                    w0 * colours[a - n_head, k]
+                    + w1 * colours[b - n_head, k]
+                    + w2 * colours[c - n_head, k]
+                )
+                if nv < 0:  # both sides are drawn
+                    n[k] = -n[k]
+                    smooth[k] = n[k]
+            nv = abs(nv)
+            rough = extra_roughness[f - first_extra]
+            wrap_more = -0.08
+            gain = 1.0 - 0.9 * max(rough - 0.6, 0.0) / 0.4
+        elif kind <= EYE_LEFT:
+            _texel(eye, linear, u, v, albedo)
+            lit = light_at[s]
+            lit = 0.18 + 0.82 * lit * lit
+            open_ = lit
+            wrap_more, f0, rough = 0.15, _CORNEA_F0, 0.10
+        else:
+            _texel(details[:, :, :3], linear, u, v, albedo)
+            wrap_more, f0, rough = 0.10, _TEETH_F0, 0.28
+            if kind == TEETH:
+                lit *= np.sqrt(open_)
+        if kind > EYE_LEFT or kind == SKIN:
+            lit *= light_at[s]
+        lit_r = lit**0.8  # blood carries red light into the shadow
+        nf = n[0] * lights[1, 0] + n[1] * lights[1, 1] + n[2] * lights[1, 2]
+        nr = n[0] * lights[2, 0] + n[1] * lights[2, 1] + n[2] * lights[2, 2]
+        up = n[0] * lights[3, 0] + n[1] * lights[3, 1] + n[2] * lights[3, 2]
+        nk = n[0] * lights[0, 0] + n[1] * lights[0, 1] + n[2] * lights[0, 2]
+        sk = smooth[0] * lights[0, 0] + smooth[1] * lights[0, 1] + smooth[2] * lights[0, 2]
+        fill = max(0.0, (nf + 0.3) / 1.3) * open_
+        rim = max(0.0, nr) * rim_lit * (1 - min(max(nv, 0.0), 1.0)) ** 1.5
+        sky_share = 0.5 + 0.5 * up
+        # light that bounces within a hollow takes the skin's colour (Jimenez et al. 2016)
+        for k in range(3):
+            shade = open_
+            q = albedo[k]
+            if kind == SKIN or kind > EYE_LEFT:
+                bounce = ((2.0404 * q - 0.3324) * open_ - 4.7951 * q + 0.6417) * open_
+                shade = max(open_, (bounce + 2.7552 * q + 0.6903) * open_)
+            around = light_colours[3, k] * sky_share + light_colours[4, k] * (1 - sky_share)
+            wrap = max(_WRAP[k] + wrap_more, 0.0)
+            cosine = nk + _SMOOTHED[k] * (sk - nk)
+            key = max(0.0, (cosine + wrap) / (1 + wrap)) * (lit_r if k == 0 else lit)
+            direct = light_colours[0, k] * key
+            direct += light_colours[1, k] * fill + light_colours[2, k] * rim
+            shine[k] = q * (direct * 0.31831 + around * shade)
+        if kind == SKIN:
+            for k in range(3):
+                glow = w0 * through[a, k] + w1 * through[b, k] + w2 * through[c, k]
+                shine[k] += glow * _THROUGH[k] * np.sqrt(albedo[k]) * 0.31831
+        if kind in (EYE, EYE_LEFT):
+            # the cornea bulges: its normal turns faster than the ball's
+            axis = axes[kind - EYE]
+            turn = n[0] * axis[0] + n[1] * axis[1] + n[2] * axis[2]
+            dome = min(max((turn - 0.86) / 0.06, 0.0), 1.0)
+            length = 0.0
+            for k in range(3):
+                n[k] = axis[k] + (n[k] - axis[k]) * (1 + 0.75 * dome)
+                length += n[k] * n[k]
+            for k in range(3):
+                n[k] /= np.sqrt(length)
+            glint = _window(n, view, lights[0], window) * dome * lit
+            wet = _highlight(n, view, lights[0], 0.04 + 0.25 * spreads[0], 0.03) * lit
+            wet *= (1 - dome) * 0.5
+            flare = _highlight(n, view, lights[1], 0.04 + 0.02 * spreads[1], 0.03) * lit
+            for k in range(3):
+                shine[k] += 0.31 * light_colours[0, k] * glint
+                shine[k] += light_colours[0, k] * wet + light_colours[1, k] * flare
+        else:
+            alpha = rough * rough
+            first = _highlight(n, view, lights[0], alpha + 0.15 * spreads[0], f0) * lit
+            second = _highlight(n, view, lights[1], alpha + 0.15 * spreads[1], f0) * open_ * open_
+            third = _highlight(n, view, lights[2], alpha + 0.15 * spreads[2], f0) * rim_lit * 0.8
+            edge = (1 - min(max(nv, 0.0), 1.0)) ** 4 * 0.06 * open_
+            for k in range(3):
+                shine[k] += gain * (
+                    light_colours[0, k] * first
+                    + light_colours[1, k] * second
+                    + light_colours[2, k] * third
+                    + light_colours[3, k] * edge
+                )
+        for k in range(3):
+            light_out[s, k] = shine[k] * (1 - hidden) + hidden * lash_colour[k]
+        cover_out[s] = 1.0
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -193,8 +230,30 @@ def _texel(picture, linear, u, v, out):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _highlight(n, view, light, roughness, f0):  # type: ignore[no-untyped-def]
-    """Cook-Torrance with GGX (Walter et al. 2007), times the cosine to the light."""
+def _raw_texel(picture, u, v, out):  # type: ignore[no-untyped-def]
+    """Bilinear lookup of three numbers; v counts from the bottom."""
+    height, width = picture.shape[0], picture.shape[1]
+    x = min(max(u * width - 0.5, 0.0), width - 1.001)
+    y = min(max((1 - v) * height - 0.5, 0.0), height - 1.001)
+    i, j = int(x), int(y)
+    fx, fy = x - i, y - j
+    for c in range(3):
+        top = picture[j, i, c] * (1 - fx) + picture[j, i + 1, c] * fx
+        low = picture[j + 1, i, c] * (1 - fx) + picture[j + 1, i + 1, c] * fx
+        out[c] = top * (1 - fy) + low * fy
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _grey(picture, u, v):  # type: ignore[no-untyped-def]
+    """Nearest value of a grey picture; v counts from the bottom."""
+    i = min(max(int(u * picture.shape[1]), 0), picture.shape[1] - 1)
+    j = min(max(int((1 - v) * picture.shape[0]), 0), picture.shape[0] - 1)
+    return picture[j, i]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _highlight(n, view, light, alpha, f0):  # type: ignore[no-untyped-def]
+    """Cook-Torrance with two lobes of GGX (Walter et al. 2007), times the cosine to the light."""
     nl = n[0] * light[0] + n[1] * light[1] + n[2] * light[2]
     nv = n[0] * view[0] + n[1] * view[1] + n[2] * view[2]
     if nl <= 0 or nv <= 0:
@@ -203,19 +262,22 @@ def _highlight(n, view, light, roughness, f0):  # type: ignore[no-untyped-def]
     length = np.sqrt(h0 * h0 + h1 * h1 + h2 * h2)
     nh = (n[0] * h0 + n[1] * h1 + n[2] * h2) / length
     vh = (view[0] * h0 + view[1] * h1 + view[2] * h2) / length
-    a2 = roughness**4
-    d = nh * nh * (a2 - 1) + 1
-    k = 0.5 * roughness * roughness
+    wide, narrow = alpha * alpha * 1.3, alpha * alpha * 0.3
+    d0 = nh * nh * (wide - 1) + 1
+    d1 = nh * nh * (narrow - 1) + 1
+    d = (0.8 * wide / (d0 * d0) + 0.2 * narrow / (d1 * d1)) / np.pi
+    k = 0.5 * alpha
     shadow = 1 / ((nl * (1 - k) + k) * (nv * (1 - k) + k) * 4)
-    fresnel = f0 + (1 - f0) * (1 - vh) ** 5
-    return a2 / (np.pi * d * d) * shadow * fresnel * nl
+    grazing = 1 - vh
+    fresnel = f0 + (1 - f0) * grazing * grazing * grazing * grazing * grazing
+    return d * shadow * fresnel * nl
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _window(n, view, light):  # type: ignore[no-untyped-def]
+def _window(n, view, light, cosine):  # type: ignore[no-untyped-def]
     """How much of a round soft box about `light` the mirror `n` shows, 0 to 1."""
     nv = n[0] * view[0] + n[1] * view[1] + n[2] * view[2]
     seen = 0.0
     for k in range(3):
         seen += (2 * nv * n[k] - view[k]) * light[k]
-    return min(max((seen - 0.955) / 0.02, 0.0), 1.0)
+    return min(max((seen - cosine) / (0.45 * (1 - cosine) + 0.002), 0.0), 1.0)

@@ -17,6 +17,8 @@ from .texture_layout import appearance_uv
 
 Floats = NDArray[np.float32]
 
+_WIDEST_TEXEL_MM = 2.0  # at 2048 texels; places further apart lie on two islands
+
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
@@ -30,6 +32,8 @@ class Canvas:
         Those of the template, if asked for.
     nearest : (size²,) int64
         Row of `texels` nearest to every texel, to fill what skin does not cover.
+    texel_mm : (size, size, 2) float32, mm
+        How far apart places are from column to column and from row to row; inf at seams.
     """
 
     size: int
@@ -37,6 +41,7 @@ class Canvas:
     places: Floats
     masks: Mapping[str, Floats]
     nearest: NDArray[np.int64]
+    texel_mm: Floats
 
     def filled(self, values: NDArray[Any]) -> NDArray[Any]:
         """Values (N, ...) as a picture (size, size, ...) without holes."""
@@ -65,7 +70,20 @@ def make_canvas(template: Template, size: int, *, with_masks: bool = False) -> C
     )
     row_of_label = np.zeros(labels.max() + 1, dtype=np.int64)
     row_of_label[labels.ravel()[texels]] = np.arange(len(texels))
-    return Canvas(size, texels, places, masks, row_of_label[labels.ravel()])
+    nearest = row_of_label[labels.ravel()]
+    texel_mm = _texel_mm(places, texels, size)
+    return Canvas(size, texels, places, masks, nearest, texel_mm)
+
+
+def _texel_mm(places: Floats, texels: NDArray[np.int64], size: int) -> Floats:
+    flat = np.full((size * size, 3), np.nan, np.float32)
+    flat[texels] = places
+    picture = flat.reshape(size, size, 3)
+    found = np.full((size, size, 2), np.inf, np.float32)
+    found[:, 1:-1, 0] = np.linalg.norm(picture[:, 2:] - picture[:, :-2], axis=2) / 2
+    found[1:-1, :, 1] = np.linalg.norm(picture[2:] - picture[:-2], axis=2) / 2
+    found[~((found > 0) & (found < _WIDEST_TEXEL_MM * 2048 / size))] = np.inf
+    return found
 
 
 @njit(cache=True)
@@ -94,7 +112,7 @@ def _rasterised(at, triangles, size):  # type: ignore[no-untyped-def]
     return found, weights
 
 
-def sample_bilinear(picture: NDArray[np.uint8], x: Floats, y: Floats) -> Floats:
+def sample_bilinear(picture: NDArray[np.uint8] | Floats, x: Floats, y: Floats) -> Floats:
     """Bilinear values; in rows of 4096, which OpenCV's remap can take."""
     n = len(x)
     padded = np.zeros((2, -(-n // 4096) * 4096), dtype=np.float32)

@@ -12,6 +12,7 @@ from scipy import sparse
 from ..core.formats.gltf import GltfPart, GltfScene, MorphTarget, unweld
 from ..core.mesh import Mesh, vertex_normals
 from ..heads.appearance import Appearance
+from ..heads.bones import make_bones
 from ..heads.head import Head
 from .animation import HeadAnimation
 
@@ -26,6 +27,7 @@ _PLAIN = {
 }
 _ROUGHNESS = {"skin": 0.55, "eye_right": 0.12, "eye_left": 0.12, "lashes": 0.9}
 _MOUTH_ROUGHNESS = 0.3
+_BONE, _BONE_ROUGHNESS = (0.72, 0.66, 0.54, 1.0), 0.7
 #: A motion below this, mm, is none.
 _STILL_MM = 1e-6
 #: Curves this alike (in parts of their largest value) become one blendshape.
@@ -125,6 +127,21 @@ def animation_glb(
     )
 
 
+def bones_glb(head: Head) -> GltfScene:
+    """A head's skull and mandible, at rest, as a glTF scene."""
+    bones = make_bones(head)
+    parts = []
+    for name, mesh in (("skull", bones.skull), ("mandible", bones.mandible)):
+        normals = vertex_normals(mesh.vertices, mesh.triangles)
+        parts.append(
+            GltfPart(
+                name, mesh.vertices, mesh.triangles, normals,
+                base_color=np.array(_BONE), roughness=_BONE_ROUGHNESS,
+            )
+        )  # fmt: skip
+    return GltfScene(f"bones of {head.name}", tuple(parts), np.zeros(1), extras={"head": head.name})
+
+
 def _curve_name(point_names: tuple[str, ...], rows: NDArray[np.int64]) -> str:
     first = f"fp_{point_names[rows[0] // 3]}_{'xyz'[rows[0] % 3]}"
     return first if len(rows) == 1 else f"{first}+{len(rows) - 1}"
@@ -207,11 +224,20 @@ def _dressed(head: Head, part: str, plain: GltfPart, texture_px: int | None) -> 
         return replace(found, base_color=np.array(colour))
     # a little transparent as a whole, so that the writer blends the texture's transparency
     alpha = 0.99 if part == "lashes" and looks.details is not None else 1.0
-    return replace(
+    found = replace(
         found,
         texture_png=_png(looks.texture_of(part), texture_px),
         base_color=np.array([1.0, 1.0, 1.0, alpha]),
     )
+    if part != "skin":
+        return found
+    if looks.normal is not None:
+        found = replace(found, normal_png=_png(looks.normal, texture_px))
+    if looks.roughness is not None:
+        rough = np.zeros((*looks.roughness.shape, 3), np.uint8)
+        rough[..., 1] = looks.roughness
+        found = replace(found, roughness_png=_png(rough, texture_px), roughness=1.0)
+    return found
 
 
 def _linear_skin(looks: Appearance) -> NDArray[np.float64]:

@@ -73,7 +73,7 @@ def write_head_video(
         rate_hz
     )
     shown = animation.resampled(np.minimum(times, end))
-    renderer = HeadRenderer(head)
+    renderer = HeadRenderer(head, quick=True)
     with VideoWriter(path, size, rate_hz, audio=audio) as writer:
         for frame in range(len(shown)):
             pose = Rigid(shown.motion.quaternion[frame], shown.motion.translation[frame])

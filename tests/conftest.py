@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facewright.datasets_synthetic.film import FilmedTake, film_take
+from facewright.datasets_synthetic.film import FilmedTake, film_take, filmed_files
+from facewright.datasets_synthetic.take_settings import TakeSettings, settings_with
 from facewright.datasets_synthetic.takes import Take, make_take
 from facewright.heads.appearance import Appearance
 from facewright.heads.head import Head
@@ -40,7 +41,7 @@ def plain_looks() -> Iterator[None]:
     """Heads made in this block are grey: painting takes a second each, and geometry no paint."""
     grey = Appearance(np.full((4, 4, 3), 128, np.uint8))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("facewright.heads.identity.make_appearance", lambda *_: grey)
+        patch.setattr("facewright.heads.identity.make_appearance", lambda *_, **__: grey)
         yield
 
 
@@ -63,11 +64,12 @@ def people() -> tuple[Head, ...]:
 
 @pytest.fixture(scope="session")
 def make_plain_take() -> Callable[..., Take]:
-    """`make_take` with an unpainted actor."""
+    """`make_take` with an unpainted actor, and settings by their keys."""
 
-    def make(seed: int, *, seconds: float, rate_hz: float = 60.0) -> Take:
+    def make(seed: int, *, seconds: float, rate_hz: float = 60.0, **changes: object) -> Take:
+        asked = {"seconds": seconds, "cameras.rate_hz": rate_hz, **changes}
         with plain_looks():
-            return make_take(seed, seconds=seconds, rate_hz=rate_hz)
+            return make_take(seed, settings_with(TakeSettings(), asked))
 
     return make
 
@@ -95,10 +97,4 @@ def filmed_take(short_take: Take, tmp_path_factory: pytest.TempPathFactory) -> F
     else:
         film_take(short_take, folder)
         done.touch()
-    return FilmedTake(
-        folder,
-        folder / "rig.json",
-        folder / "markers.toml",
-        folder / "truth.npz",
-        tuple(folder / f"{name}.mp4" for name in short_take.rig),
-    )
+    return filmed_files(short_take, folder)

@@ -98,9 +98,10 @@ def find_level(image: NDArray[np.uint8]) -> float:
     levels = np.arange(256)
     above = np.cumsum(counts[::-1])[::-1]
     skin = float(levels[above >= 0.01 * image.size].max())
-    top = min(200, image.size)
-    brightest = counts * (above <= top)
-    dots = float((brightest * levels).sum() / brightest.sum()) if brightest.any() else skin
+    n_brightest = min(200, image.size)
+    # of the level that reaches past them only a part counts: saturated dots share the top level
+    brightest = np.clip(n_brightest - (above - counts), 0, counts)
+    dots = float((brightest * levels).sum() / n_brightest)
     if dots - skin < 40:
         raise InputError(
             f"no bright dots: the brightest pixels (level {dots:.0f}) hardly exceed the rest "

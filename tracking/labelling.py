@@ -22,6 +22,7 @@ _N_STARTS = 120  # rotations tried; the farthest turn from the nearest is then a
 _ITERATIONS = 12
 _AFFINE_ROUNDS = 4
 _MISSING_MM = 18.0  # what it costs to leave a marker unmatched, mm of distance
+_MISSING_REFINED_MM = 28.0  # the same once most are named: long chins stand farther off
 #: The fit must be this good on average, after an affine adaptation to the person.
 MAX_MEAN_DISTANCE_MM = 9.0
 _SCALES = (0.6, 1.6)  # of a face against the average one
@@ -66,9 +67,10 @@ def label_constellation(points: NDArray[np.float64], marker_set: MarkerSet) -> L
     """Name the markers of one instant, whatever the head's place, turn and size.
 
     The average head's markers are laid over the points from 120 rotations spread over all of
-    SO(3); from each, assignment (Hungarian, leaving a marker out costs 18 mm) and similarity fit
-    alternate. The best result is refined with an affine fit, which takes up most of what makes
-    this person's face unlike the average one. Mirror images are excluded throughout.
+    SO(3); from each, assignment (Hungarian, leaving a marker out costs 18 mm, at last 28) and
+    similarity fit alternate. The best result is refined with an affine fit, which takes up most
+    of what makes this person's face unlike the average one. Mirror images are excluded
+    throughout.
 
     Parameters
     ----------
@@ -119,13 +121,13 @@ def _spread_rotations(n: int) -> NDArray[np.float64]:
 
 
 def _assign(
-    template: NDArray[np.float64], points: NDArray[np.float64]
+    template: NDArray[np.float64], points: NDArray[np.float64], missing_mm: float = _MISSING_MM
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], float]:
     """Best pairs; pairs farther apart than the price of a missing marker are dropped."""
     d = np.linalg.norm(template[:, None] - points[None], axis=2)
-    capped = np.minimum(d, _MISSING_MM)
+    capped = np.minimum(d, missing_mm)
     rows, columns = linear_sum_assignment(capped)
-    near = d[rows, columns] < _MISSING_MM
+    near = d[rows, columns] < missing_mm
     return rows[near], columns[near], float(capped[rows, columns].sum())
 
 
@@ -164,7 +166,7 @@ def _refine(
         A = np.column_stack([template[rows], np.ones(len(rows))])
         M, *_ = np.linalg.lstsq(A, points[columns], rcond=None)
         warped = np.column_stack([template, np.ones(len(template))]) @ M
-        rows, columns, _ = _assign(warped, points)
+        rows, columns, _ = _assign(warped, points, _MISSING_REFINED_MM)
     else:
         return rows, columns, np.linalg.norm(warped[rows] - points[columns], axis=1)
     s, R, t = fit_similarity(template[rows], points[columns])

@@ -263,8 +263,10 @@ def estimate_fapu(neutral: NDArray[np.float64], marker_set: MarkerSet) -> Fapu:
     points = {n: np.append(p, 1.0) @ M for n, p in head.points.items()}
     labels = marker_set.label_by_feature_point
     for fp in ("8.3", "8.4"):
-        if fp in labels and seen[_row(marker_set, labels[fp])]:
-            points[fp] = neutral[_row(marker_set, labels[fp])]
+        row = _row(marker_set, labels[fp]) if fp in labels else None
+        if row is not None and seen[row]:
+            # the marker is glued beside the corner: what it is off by, the corner is too
+            points[fp] = points[fp] + neutral[row] - np.append(template[row], 1.0) @ M
     return Fapu.from_points(points)
 
 

@@ -124,8 +124,9 @@ class _SceneReader:
         to_head = placement.head_from_mesh if bone is None else bone
         if to_head.ndim == 2 and np.linalg.det(to_head[:3, :3]) < 0:  # a mirror turns faces over
             triangles = triangles[:, ::-1]
-        texture, set_index, look = self._material(primitive, where)
+        maps, set_index, look = self._material(primitive, where)
         uv = self._uv(attributes, set_index, count, where)
+        texture, normal, rough = (None, None, None) if uv is None else maps
         targets = self._targets(mesh, primitive, count, to_head, where)
         weights = self._weights(node, mesh, len(targets))
         return GltfPart(
@@ -135,14 +136,16 @@ class _SceneReader:
             _moved_normals(normals, to_head),
             uv,
             look.color,
-            None if uv is None else texture,
-            look.roughness,
-            look.double_sided,
-            targets,
-            weights,
-            placement.rotation,
-            placement.translation,
-            placement.pivot,
+            texture_png=texture,
+            normal_png=normal,
+            roughness_png=rough,
+            roughness=look.roughness,
+            double_sided=look.double_sided,
+            targets=targets,
+            weights=weights,
+            rotation=placement.rotation,
+            translation=placement.translation,
+            pivot=placement.pivot,
         )
 
     def _triangles(self, primitive: Object, count: int, where: str) -> NDArray[np.int32]:
@@ -263,10 +266,15 @@ class _SceneReader:
 
     # materials
 
-    def _material(self, primitive: Object, where: str) -> tuple[bytes | None, int, _Look]:
-        """Texture (PNG), which set of texture coordinates it uses, and the rest."""
+    def _material(
+        self, primitive: Object, where: str
+    ) -> tuple[tuple[bytes | None, bytes | None, bytes | None], int, _Look]:
+        """Textures (PNG) of colour, normals and roughness, their texture coordinates, the rest.
+
+        Maps that use another set of coordinates than the first are left out.
+        """
         if "material" not in primitive:
-            return None, 0, _Look(np.ones(4), 1.0, False)
+            return (None, None, None), 0, _Look(np.ones(4), 1.0, False)
         file = self._file
         material = file.item("materials", primitive["material"], where)
         where = f"material {primitive['material']}"
@@ -278,16 +286,31 @@ class _SceneReader:
             min(max(roughness, 0.0), 1.0),
             material.get("doubleSided") is True,
         )
-        info = file.member(surface, "baseColorTexture", where)
+        found = [
+            self._texture(file.member(holder, key, where), where)
+            for holder, key in (
+                (surface, "baseColorTexture"),
+                (material, "normalTexture"),
+                (surface, "metallicRoughnessTexture"),
+            )
+        ]
+        sets = [set_index for picture, set_index in found if picture is not None]
+        chosen = sets[0] if sets else 0
+        texture, normal, rough = (p if n == chosen else None for p, n in found)
+        return (texture, normal, rough), chosen, look
+
+    def _texture(self, info: Object, where: str) -> tuple[bytes | None, int]:
+        """A texture's picture and its set of texture coordinates; None if there is none."""
+        file = self._file
         if "index" not in info:
-            return None, 0, look
+            return None, 0
         texture = file.item("textures", info["index"], where)
         if "source" not in texture:
-            return None, 0, look
+            return None, 0
         source = file.integer(texture, "source", where)
         if source not in self._images:
             self._images[source] = self._image(source, where)
-        return self._images[source], file.integer(info, "texCoord", where, 0), look
+        return self._images[source], file.integer(info, "texCoord", where, 0)
 
     def _image(self, index: int, where: str) -> bytes:
         file = self._file

@@ -70,6 +70,11 @@ class GltfPart:
         Linear red, green, blue, alpha in 0..1; multiplies the texture.
     texture_png : bytes or None
         Needs `uv`.
+    normal_png : bytes or None
+        Tangent-space normal map, green up; needs `uv`.
+    roughness_png : bytes or None
+        Roughness in the green channel, metalness (0) in the blue; multiplied by `roughness`. Needs
+        `uv`.
     roughness : float, 0..1
     double_sided : bool
     targets : tuple of MorphTarget
@@ -89,6 +94,8 @@ class GltfPart:
     uv: NDArray[np.float64] | None = None
     base_color: NDArray[np.float64] = field(default_factory=lambda: np.array(_WHITE))
     texture_png: bytes | None = None
+    normal_png: bytes | None = None
+    roughness_png: bytes | None = None
     roughness: float = 0.6
     double_sided: bool = False
     targets: tuple[MorphTarget, ...] = ()
@@ -120,16 +127,18 @@ class GltfPart:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        self._check_texture()
+        self._check_textures()
         self._check_targets()
 
-    def _check_texture(self) -> None:
-        if self.texture_png is None:
-            return
-        if self.uv is None:
-            raise ValueError(f"part {self.name} has a texture but no uv")
-        if not self.texture_png.startswith(PNG_SIGNATURE):
-            raise ValueError(f"texture_png of {self.name} is not a PNG file")
+    def _check_textures(self) -> None:
+        for kind in ("texture_png", "normal_png", "roughness_png"):
+            data = getattr(self, kind)
+            if data is None:
+                continue
+            if self.uv is None:
+                raise ValueError(f"part {self.name} has a texture but no uv")
+            if not data.startswith(PNG_SIGNATURE):
+                raise ValueError(f"{kind} of {self.name} is not a PNG file")
 
     def _check_targets(self) -> None:
         names = [target.name for target in self.targets]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,12 +46,13 @@ def glb_bytes(scene: GltfScene) -> bytes:
     meshes: list[gltf.Mesh] = []
     materials: list[gltf.Material] = []
     images: list[gltf.Image] = []
+    places: dict[bytes, int] = {}
     for part in scene.parts:
-        materials.append(_material(part, len(images)))
-        if part.texture_png is not None:
-            images.append(
-                gltf.Image(bufferView=packer.view(part.texture_png), mimeType="image/png")
-            )
+        for picture in (part.texture_png, part.normal_png, part.roughness_png):
+            if picture is not None and picture not in places:
+                places[picture] = len(images)
+                images.append(gltf.Image(bufferView=packer.view(picture), mimeType="image/png"))
+        materials.append(_material(part, places))
         meshes.append(_mesh(packer, part, len(meshes)))
         nodes.append(_part_node(part, len(meshes) - 1))
     animation = _animation(packer, scene)
@@ -215,17 +216,23 @@ def _target(packer: _Packer, target: MorphTarget, n_vertices: int) -> gltf.Attri
     return found
 
 
-def _material(part: GltfPart, texture: int) -> gltf.Material:
+def _material(part: GltfPart, places: Mapping[bytes, int]) -> gltf.Material:
     surface = gltf.PbrMetallicRoughness(
         baseColorFactor=[float(x) for x in part.base_color],
         metallicFactor=0.0,
         roughnessFactor=float(part.roughness),
     )
     if part.texture_png is not None:
-        surface.baseColorTexture = gltf.TextureInfo(index=texture)
+        surface.baseColorTexture = gltf.TextureInfo(index=places[part.texture_png])
+    if part.roughness_png is not None:
+        surface.metallicRoughnessTexture = gltf.TextureInfo(index=places[part.roughness_png])
+    normals = None
+    if part.normal_png is not None:
+        normals = gltf.NormalMaterialTexture(index=places[part.normal_png])
     return gltf.Material(
         name=part.name,
         pbrMetallicRoughness=surface,
+        normalTexture=normals,
         doubleSided=bool(part.double_sided),
         alphaMode=gltf.OPAQUE if part.base_color[3] == 1 else gltf.BLEND,
         alphaCutoff=None,

@@ -41,10 +41,10 @@ TETRAHEDRON = np.array([[0, 0, 0], [40, 0, 0], [0, 40, 0], [0, 0, 40]], dtype=np
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], dtype=np.int32)
 
 
-def picture(kind: str = "PNG") -> bytes:
+def picture(kind: str = "PNG", shade: int = 255) -> bytes:
     gradient = np.tile(np.arange(0, 256, 16, dtype=np.uint8)[:, None, None], (1, 16, 3))
     out = io.BytesIO()
-    Image.fromarray(gradient).save(out, kind)
+    Image.fromarray(np.minimum(gradient, np.uint8(shade))).save(out, kind)
     return out.getvalue()
 
 
@@ -76,7 +76,9 @@ def full_scene(n_frames: int = 12, seed: int = 3) -> GltfScene:
         rng.uniform(size=(200, 2)),
         np.array([0.9, 0.7, 0.6, 1.0]),
         picture(),
-        0.45,
+        picture(shade=90),
+        picture(shade=30),
+        roughness=0.45,
         targets=targets,
         weights=rng.uniform(size=(n_frames, 3)),
     )
@@ -212,6 +214,7 @@ def test_a_scene_comes_back_as_it_was_to_single_precision(tmp_path: Path) -> Non
         assert_single(a.translation, b.translation, "translation", 200.0)
         assert (a.triangles == b.triangles).all()
         assert (a.texture_png, a.double_sided) == (b.texture_png, b.double_sided)
+        assert (a.normal_png, a.roughness_png) == (b.normal_png, b.roughness_png)
         assert a.roughness == b.roughness
         assert [t.name for t in a.targets] == [t.name for t in b.targets]
         for s, t in zip(a.targets, b.targets, strict=True):
@@ -772,7 +775,7 @@ BAD_DOCUMENTS: dict[str, tuple[Callable[[dict[str, Any]], None], str]] = {
     "huge number": (setting("nodes", 0, "translation", value=[10**400, 0, 0]), "3 numbers"),
     "empty scene": (setting("scenes", 0, "nodes", value=[]), "a mesh of triangles"),
     "mode": (setting("meshes", 0, "primitives", 0, "mode", value=9), "triangles"),
-    "image": (setting("images", 0, "bufferView", value=2), "a PNG or JPEG"),
+    "image": (setting("images", 0, "bufferView", value=5), "a PNG or JPEG"),
     "sampler": (
         setting("animations", 0, "channels", 0, "sampler", value=50),
         "a sampler below",

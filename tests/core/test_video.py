@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from facewright.core.audio import Audio, read_audio
 from facewright.core.errors import FileFormatError, InputError
 from facewright.core.video import probe_video, read_frames
-from facewright.core.video_writer import VideoWriter
+from facewright.core.video_writer import VideoWriter, join_videos
 
 Picture = NDArray[np.uint8]
 WIDTH, HEIGHT = 150, 94  # not multiples of a block: lines are padded in the decoder
@@ -548,3 +549,86 @@ def test_frames_are_freed_as_soon_as_they_are_let_go(tmp_path: Path) -> None:
     finally:
         gc.enable()
     assert kept <= 2, f"{kept} of 40 frames wait for the garbage collector"
+
+
+def steps(count: int, size: tuple[int, int] = (96, 64)) -> list[NDArray[np.uint8]]:
+    """Gray pictures that tell their number by how far a bright bar reaches."""
+    found = []
+    for i in range(count):
+        image = np.full((size[1], size[0]), 40, np.uint8)
+        image[:, : i + 2] = 220
+        found.append(image)
+    return found
+
+
+def test_lossless_video_gives_every_pixel_back(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    for shape in ((64, 96), (64, 96, 3)):
+        images = [rng.integers(0, 256, shape).astype(np.uint8) for _ in range(3)]
+        path = tmp_path / f"{len(shape)}.mkv"
+        with VideoWriter(path, (96, 64), 60, lossless=True) as writer:
+            for image in images:
+                writer.write(image)
+
+        gray = len(shape) == 2
+        for image, frame in zip(images, read_frames(path, gray=gray), strict=True):
+            np.testing.assert_array_equal(frame.image, image)
+
+
+def test_lossless_video_is_written_as_matroska(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a\.mp4: lossless video is written as \.mkv"):
+        VideoWriter(tmp_path / "a.mp4", (96, 64), 60, lossless=True)
+
+
+def test_time_stamps_may_be_irregular(tmp_path: Path) -> None:
+    times = [0.0, 0.0151, 0.0402, 0.1]
+    with VideoWriter(tmp_path / "a.mp4", (96, 64), 60, time_base=Fraction(1, 90000)) as writer:
+        for image, t in zip(steps(4), times, strict=True):
+            writer.write(image, t)
+        with pytest.raises(ValueError, match="grow"):
+            writer.write(steps(1)[0], 0.1)
+
+    found = [f.time_s for f in read_frames(tmp_path / "a.mp4")]
+    np.testing.assert_allclose(found, times, atol=1 / 90000)
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_joined_videos_are_the_parts_in_their_places(tmp_path: Path, suffix: str) -> None:
+    images = steps(24)
+    parts = []
+    for k in range(3):
+        parts.append(tmp_path / f"part{k}{suffix}")
+        with VideoWriter(parts[-1], (96, 64), 30, lossless=suffix == ".mkv") as writer:
+            for image in images[8 * k : 8 * k + 8]:
+                writer.write(image)
+    sound = Audio(0.5 * np.sin(np.arange(16_000) * 0.05).astype(np.float32), 16_000)
+
+    # a gap of 0.2 s before the last part
+    starts = [0.0, 8 / 30, 16 / 30 + 0.2]
+    join_videos(parts, tmp_path / f"all{suffix}", starts_s=starts, audio=sound)
+
+    found = list(read_frames(tmp_path / f"all{suffix}", gray=True))
+    expected = np.arange(24) / 30 + np.where(np.arange(24) < 16, 0, 0.2)
+    np.testing.assert_allclose([f.time_s for f in found], expected, atol=1.1e-3)
+    for i, frame in enumerate(found):
+        bar = int((frame.image[32].astype(int) > 130).sum())
+        assert bar == i + 2
+    assert read_audio(tmp_path / f"all{suffix}").duration_s == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize("rotation", [0, 90, 180, 270])
+def test_a_joined_video_may_say_that_it_lies_on_its_side(tmp_path: Path, rotation: int) -> None:
+    if not hasattr(av.VideoStream, "set_display_rotation"):
+        pytest.skip("this PyAV cannot write a rotation")
+    upright = steps(30)[29]
+    lying = np.ascontiguousarray(np.rot90(upright, -rotation // 90))
+    with VideoWriter(tmp_path / "part.mp4", (lying.shape[1], lying.shape[0]), 30) as writer:
+        writer.write(lying)
+
+    join_videos(
+        [tmp_path / "part.mp4"], tmp_path / "all.mp4", starts_s=[0.0], rotation_deg=rotation
+    )
+
+    (frame,) = read_frames(tmp_path / "all.mp4", gray=True)
+    assert frame.image.shape == upright.shape
+    assert ((frame.image > 130) == (upright > 130)).mean() > 0.98

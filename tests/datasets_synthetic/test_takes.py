@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from facewright.core.mpeg4 import fap_by_name, fap_table
+from facewright.datasets_synthetic.markers_on_faces import STICKER_MM
 from facewright.datasets_synthetic.performances import NEUTRAL_S
-from facewright.datasets_synthetic.takes import STICKER_MM, Take, Truth, take_truth
+from facewright.datasets_synthetic.takes import Take, Truth, take_truth
 
 Floats = NDArray[np.float64]
 
@@ -27,12 +28,10 @@ def truth(take: Take) -> Truth:
 
 
 def world_vertices(take: Take, frame: int) -> Floats:
-    """The actor's vertices by the plain sum of shapes, carried to the world by SciPy."""
-    assert take.head.shapes is not None
-    w = take.performance.weights.values[frame]
-    v = take.head.mesh.vertices + np.einsum("s,svx->vx", w, take.head.shapes.astype(np.float64))
-    turn = Rotation.from_quat(take.head_motion.quaternion[frame], scalar_first=True)
-    return np.asarray(turn.apply(v) + take.head_motion.translation[frame])
+    """The actor's vertices, carried to the world by SciPy."""
+    pose = take.pose(float(take.time_s[frame]))
+    turn = Rotation.from_quat(pose.world_from_head.quaternion, scalar_first=True)
+    return np.asarray(turn.apply(pose.vertices) + pose.world_from_head.translation)
 
 
 def nearest_on_triangle(p: Floats, corners: Floats) -> Floats:
@@ -92,9 +91,9 @@ def test_faps_are_the_displacements_of_feature_points_in_the_tables_units(
     }  # fmt: skip
     n_checked = 0
     for frame in (10, 17, 29):
-        turn = Rotation.from_quat(take.head_motion.quaternion[frame], scalar_first=True)
+        turn = Rotation.from_quat(truth.head_quaternion[frame], scalar_first=True)
         p = take.head.feature_points.at(world_vertices(take, frame))
-        in_head = turn.inv().apply(p - take.head_motion.translation[frame])
+        in_head = turn.inv().apply(p - truth.head_translation[frame])
         moved = dict(zip(take.head.feature_points.names, in_head, strict=True))
         for fap in fap_table():
             if len(fap.axis) != 2 or not fap.feature_points or fap.number in (27, 28):
@@ -111,7 +110,7 @@ def test_faps_are_the_displacements_of_feature_points_in_the_tables_units(
 
 
 def test_the_heads_turns_are_in_the_faps(take: Take, truth: Truth) -> None:
-    turn = Rotation.from_quat(take.head_motion.quaternion, scalar_first=True)
+    turn = Rotation.from_quat(truth.head_quaternion, scalar_first=True)
     yaw, pitch, roll = turn.as_euler("YXZ").T
 
     for name, angle in (("head_pitch", pitch), ("head_yaw", yaw), ("head_roll", roll)):
@@ -121,37 +120,37 @@ def test_the_heads_turns_are_in_the_faps(take: Take, truth: Truth) -> None:
 
 
 def test_eyes_turn_as_their_pupils_do(make_plain_take: Callable[..., Take]) -> None:
-    """Right-handed about y to the subject's left, about x downwards, seen from the eye's centre.
-
-    The sculpted shapes turn the eyeball less than that, and shift it.
-    """
+    """Right-handed about y to the subject's left, about x downwards, seen from the eye's centre."""
     take = make_plain_take(9, seconds=2.0, rate_hz=20.0)
     truth = take_truth(take)
-    weights = take.performance.weights
+    n_moved = 0
     for side, yaw_fap, pitch_fap in (("left", 23, 25), ("right", 24, 26)):
         eye = take.head.eyes[side]
         chosen = take.head.feature_points.select(("3.5" if side == "left" else "3.6",))
         pupil = chosen.corners[0, chosen.barycentric[0].argmax()]  # the point is a vertex
-        look = {
-            way: weights[f"eyeLook{way}{side.capitalize()}"] for way in ("In", "Out", "Up", "Down")
-        }
-        moving = np.sum(list(look.values()), axis=0) > 0.15
-        assert moving.any()
         rest = take.head.mesh.vertices[pupil] - eye.centre
-        for frame in np.flatnonzero(moving):
-            here = take.vertices(int(frame))[pupil] - eye.centre
+        for frame, t in enumerate(take.time_s):
+            here = take.pose(float(t)).vertices[pupil] - eye.centre
             yaw, pitch = truth.faps[frame, [yaw_fap - 1, pitch_fap - 1]] * 1e-5
-            # tan of the angle in the plane across the axis
-            for angle, i, sign in ((yaw, 0, 1), (pitch, 1, -1)):
-                expected = np.arctan(here[i] / here[2]) - np.arctan(rest[i] / rest[2])
-                assert angle == pytest.approx(sign * expected, abs=1e-3)
-        to_left = look["Out" if side == "left" else "In"]
-        to_right = look["In" if side == "left" else "Out"]
-        yaws, pitches = truth.faps[:, yaw_fap - 1], truth.faps[:, pitch_fap - 1]
-        assert (yaws[to_left > 0.15] > 0).all()
-        assert (yaws[to_right > 0.15] < 0).all()
-        assert (pitches[look["Down"] > 0.15] > 0).all()
-        assert (pitches[look["Up"] > 0.15] < 0).all()
+            expected = Rotation.from_euler("YX", [yaw, pitch]).apply(rest)
+            assert np.linalg.norm(here - expected) < 0.05  # mm, of 14
+            n_moved += abs(yaw) > 0.05
+    assert n_moved > 10
+
+
+def test_the_mandible_carries_the_lower_teeth(make_plain_take: Callable[..., Take]) -> None:
+    take = make_plain_take(9, seconds=3.0, rate_hz=10.0, **{"performance.style": "speech"})
+    truth = take_truth(take)
+    rows = take.head.part_vertices("teeth_lower")
+    rest = take.head.mesh.vertices[rows]
+    opened = 0.0
+    for frame, t in enumerate(take.time_s):
+        turn = Rotation.from_quat(truth.jaw_quaternion[frame], scalar_first=True)
+        expected = turn.apply(rest) + truth.jaw_translation[frame]
+        here = take.pose(float(t)).vertices[rows]
+        np.testing.assert_allclose(here, expected, atol=1e-6)
+        opened = max(opened, float(np.abs(expected - rest).max()))
+    assert opened > 2  # mm: the mouth was open once
 
 
 def test_positions_are_smooth(truth: Truth, take: Take) -> None:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from facewright.heads.appearance import Appearance, jpeg_bytes, make_appearance, png_bytes
 from facewright.heads.appearance_traits import CUTS, AppearanceTraits
 from facewright.heads.template import load_template, template_feature_points
+from facewright.heads.texture_canvas import make_canvas
 from facewright.heads.texture_layout import appearance_uv
 
 
@@ -36,6 +37,10 @@ def test_same_traits_give_same_bytes_and_other_seeds_do_not() -> None:
 
     assert first is not again
     assert np.array_equal(first.skin, again.skin)
+    assert first.normal is not None and again.normal is not None
+    assert np.array_equal(first.normal, again.normal)
+    assert first.roughness is not None and again.roughness is not None
+    assert np.array_equal(first.roughness, again.roughness)
     assert first.eye is not None and again.eye is not None
     assert np.array_equal(first.eye, again.eye)
     assert first.details is not None and again.details is not None
@@ -131,6 +136,97 @@ def test_iris_lies_in_the_middle_of_the_eye() -> None:
     assert eye[c, c].max() < 40  # pupil
     iris, sclera = eye[c, c + 48].astype(int), eye[c, c + 110].astype(int)
     assert iris[2] > iris[0] and sclera.min() > 150
+
+
+def relief(appearance: Appearance, x: float, y: float, half_mm: float) -> NDArray[np.float64]:
+    """Normals (N, 3) of the skin within a square about a place, seen from the front."""
+    assert appearance.normal is not None
+    canvas = make_canvas(load_template(), len(appearance.normal))
+    p = canvas.places
+    rows = (np.abs(p[:, :2] - (x, y)) < half_mm).all(axis=1) & (p[:, 2] > -10)
+    assert rows.sum() > 100
+    found = appearance.normal.reshape(-1, 3)[canvas.texels[rows]]
+    return np.asarray((found - 128.0) / 127.5)
+
+
+def test_normals_are_unit_vectors_that_lean_to_no_side() -> None:
+    normal = looks(age=0.8, stubble=0.5).normal
+    assert normal is not None and normal.shape == looks().skin.shape
+    n = (normal.reshape(-1, 3).astype(float) - (128, 128, 127.5)) / 127.5
+    assert np.abs(np.linalg.norm(n, axis=1) - 1).max() < 0.025
+    assert n[:, 2].min() > 0
+    assert np.abs(n[:, :2].mean(axis=0)).max() < 0.01
+
+
+def test_age_furrows_the_forehead_across_and_children_are_smooth() -> None:
+    def rough(age: float) -> tuple[float, float]:
+        n = relief(looks(seed=4, age=age), 0, 45, 25)
+        return float(n[:, 0].std()), float(n[:, 1].std())
+
+    child, adult, old = rough(0.05), rough(0.5), rough(1.0)
+    assert max(child) < 0.5 * max(adult)
+    assert old[1] > 1.5 * adult[1]
+    # the lines run across, so they tilt the skin up and down: the texture is upright there
+    assert old[1] > 1.3 * old[0]
+
+
+def test_lips_are_creased_along_their_height() -> None:
+    n = relief(looks(), 0, -74, 4)
+    assert n[:, 0].std() > 1.4 * n[:, 1].std()
+
+
+def test_gloss_is_on_the_nose_and_not_in_the_hair() -> None:
+    rough = looks(cut="buzz").roughness
+    assert rough is not None
+    canvas = make_canvas(load_template(), len(rough))
+    p, values = canvas.places, rough.ravel()[canvas.texels].astype(float)
+    nose = values[(np.abs(p[:, 0]) < 6) & (np.abs(p[:, 1] + 30) < 6) & (p[:, 2] > 25)].mean()
+    cheek = values[(np.abs(p[:, 0] - 45) < 5) & (np.abs(p[:, 1] + 45) < 6)].mean()
+    scalp = values[(np.abs(p[:, 0]) < 20) & (p[:, 1] > 105)].mean()
+    assert nose < cheek - 15 < scalp - 40
+
+
+def test_a_small_skin_is_the_large_one_made_smaller() -> None:
+    traits = AppearanceTraits(seed=12, freckles=0.4, stubble=0.5, cut="slick")
+    large = make_appearance(load_template(), traits)
+    small = make_appearance(load_template(), traits, size=512)
+    assert small.skin.shape == (512, 512, 3)
+    assert small.uv is not None and large.uv is not None
+    assert np.array_equal(small.uv, large.uv)
+    wanted = cv2.resize(large.skin, (512, 512), interpolation=cv2.INTER_AREA).astype(int)
+    off = np.abs(small.skin - wanted)
+    assert np.median(off) <= 3 and off.mean() < 8
+    with pytest.raises(ValueError, match="size must be at least 256"):
+        make_appearance(load_template(), traits, size=64)
+
+
+def test_drawing_traits_takes_one_number_of_the_generator() -> None:
+    left = []
+    for female, age in ((0.0, 0.1), (1.0, 0.5), (0.0, 0.95)):
+        rng = np.random.default_rng(5)
+        AppearanceTraits.random(rng, ancestry={"asian": 1.0}, age=age, female=female)
+        left.append(int(rng.integers(2**31)))
+    assert len(set(left)) == 1
+
+
+def test_children_and_old_people_are_drawn_as_such() -> None:
+    def drawn(age: float) -> list[AppearanceTraits]:
+        draw = AppearanceTraits.random
+        return [
+            draw(np.random.default_rng(k), ancestry={"caucasian": 1.0}, age=age, female=0.0)
+            for k in range(40)
+        ]
+
+    child, adult, old = drawn(0.1), drawn(0.5), drawn(0.95)
+    assert all(t.stubble == 0 and t.recession_mm == 0 and t.cut != "bald" for t in child)
+    assert any(t.stubble > 0.2 for t in adult)
+
+    def colourful(traits: list[AppearanceTraits]) -> float:
+        return float(np.mean([max(t.hair) / (min(t.hair) + 5) for t in traits]))
+
+    assert colourful(old) < 1.2 < 1.5 < colourful(adult)
+    assert np.mean([t.brow_thickness for t in child]) < np.mean([t.brow_thickness for t in adult])
+    assert {t.cut for t in adult} == set(CUTS) - {"rows"}  # braids go with hair that holds them
 
 
 def test_every_cut_is_painted_differently() -> None:

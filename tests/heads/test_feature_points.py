@@ -48,6 +48,31 @@ def test_every_point_that_a_fap_moves_is_there_on_its_part(average_head: Head) -
             assert set(corners) <= on[NO_SKIN.get(fp, "skin")], fp
 
 
+def test_a_head_has_all_84_points(average_head: Head) -> None:
+    """On the surface, but for the centre of rotation inside and the top of the hair."""
+    points, table = average_head.points, feature_point_table()
+    skin = average_head.mesh.vertices[average_head.part_vertices("skin")]
+    near = skin[np.abs(skin[:, 1] - points["7.1"][1]) < 5]
+
+    assert set(points) == set(table)
+    assert len(table) == 84
+    assert set(table) - set(average_head.feature_points.names) == {"7.1", "11.5"}
+    np.testing.assert_array_equal(points["7.1"], average_head.neck_pivot)
+    assert near[:, 2].min() < points["7.1"][2] < near[:, 2].max()
+    np.testing.assert_array_equal(points["11.5"], points["11.4"])
+
+
+def test_ears_touch_the_face_between_their_tops_and_lobes(people: tuple[Head, ...]) -> None:
+    for head in people:
+        p = head.points
+        for top, upper, lower, lobe in (
+            ("10.1", "10.9", "10.7", "10.5"),
+            ("10.2", "10.10", "10.8", "10.6"),
+        ):
+            assert p[top][1] > p[upper][1] > p[lower][1] > p[lobe][1] - 1, head.name
+            assert min(p[upper][2], p[lower][2]) > p["10.3" if lower == "10.7" else "10.4"][2]
+
+
 def test_points_are_inside_their_triangles() -> None:
     assert template_feature_points().barycentric.min() >= 0
 

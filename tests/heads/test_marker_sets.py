@@ -9,11 +9,18 @@ import pytest
 
 from facewright.core.errors import InputError
 from facewright.core.markers import HEAD, Marker
-from facewright.datasets_synthetic.takes import LID_DOT_RADIUS_MM
+from facewright.datasets_synthetic.take_settings import MarkerSettings
+from facewright.datasets_synthetic.takes import LID_RADIUS_SHARE
 from facewright.heads.head import Head
-from facewright.heads.marker_sets import LID_OFFSET_MM, glue_markers, ready_marker_set
+from facewright.heads.marker_sets import (
+    CORNER_OFFSET_MM,
+    LID_OFFSET_MM,
+    glue_markers,
+    ready_marker_set,
+)
 from facewright.heads.raycast import RayScene
 
+CORNERS = {"8.3": 1, "8.4": -1}
 LIDS = {"3.1": 1, "3.2": 1, "3.3": -1, "3.4": -1}
 
 
@@ -41,6 +48,9 @@ def test_markers_are_on_the_skin_at_their_feature_points(people: tuple[Head, ...
             if marker.feature_point in LIDS:
                 # the skin nearest to a spot above the lid's edge may lie lower on some faces
                 assert 0.1 < d[1] * LIDS[marker.feature_point] < 2 * LID_OFFSET_MM
+            elif marker.feature_point in CORNERS:
+                assert 1.0 < d[0] * CORNERS[marker.feature_point] < 1.2 * CORNER_OFFSET_MM
+                assert np.linalg.norm(d) < 1.5 * CORNER_OFFSET_MM
             else:
                 assert np.linalg.norm(d) < 1e-3
 
@@ -66,7 +76,10 @@ def test_the_dots_of_the_lids_do_not_touch_in_a_blink(people: tuple[Head, ...]) 
             travel = edges.at(blink)[1, 1] - edges.at(blink)[0, 1]
             closed = head.mesh.vertices + min(gap / travel, 1.0) * blink
             dots = glue.select((label[upper], label[lower])).at(closed)
-            assert np.linalg.norm(dots[0] - dots[1]) > 2 * LID_DOT_RADIUS_MM
+            assert (
+                np.linalg.norm(dots[0] - dots[1])
+                > 2 * LID_RADIUS_SHARE * MarkerSettings().radius_mm
+            )
 
 
 def test_expressions_hardly_move_the_markers_of_the_skull(people: tuple[Head, ...]) -> None:

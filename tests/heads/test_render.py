@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,7 +14,11 @@ from facewright.core.rigid import Rigid
 from facewright.heads.appearance import Appearance
 from facewright.heads.head import Head
 from facewright.heads.identity import Identity, make_head
+from facewright.heads.layers import ExtraMesh, Layers, film_curve
+from facewright.heads.raycast import NO_HIT
 from facewright.heads.render import HeadRenderer, portrait_camera
+from facewright.heads.srgb import linear_from_srgb, srgb_from_linear
+from facewright.heads.stage_lights import LIGHT_NAMES, Lamp, StageLights
 
 GREEN = (0, 255, 0)
 
@@ -204,3 +209,281 @@ def test_wrong_vertices_are_refused(head: Head) -> None:
         renderer.render(np.full_like(head.mesh.vertices, np.nan), camera)
     with pytest.raises(ValueError, match="supersample"):
         HeadRenderer(head, supersample=0)
+
+
+def plate(
+    corners: list[tuple[float, float, float]], colour: tuple[float, float, float]
+) -> ExtraMesh:
+    """A flat four-sided thing in the world."""
+    triangles = np.array([(0, 1, 2), (0, 2, 3)])
+    return ExtraMesh(np.array(corners), triangles, np.tile(colour, (4, 1)))
+
+
+def facing_plate(z: float, half: float, colour: tuple[float, float, float]) -> ExtraMesh:
+    return plate([(-half, -half, z), (half, -half, z), (half, half, z), (-half, half, z)], colour)
+
+
+def lit(picture: Layers) -> NDArray[np.float64]:
+    """Mean light over the whole box and all colours, for comparison."""
+    return np.asarray(picture.light.mean(axis=(0, 1)), dtype=np.float64)
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_coverage_of_a_ball_is_the_area_of_its_outline(quick: bool) -> None:
+    b = ball()
+    renderer = HeadRenderer(b, quick=quick, supersample=4)
+    layers = renderer.render_layers(b.mesh.vertices, camera_for())
+
+    # of the polyhedron, a little less than of the sphere: 80 by 160 corners
+    outline = cv2.convexHull(camera_for().project(b.mesh.vertices).astype(np.float32))
+    wanted = cv2.contourArea(outline)
+    assert layers.cover.sum() == pytest.approx(wanted, rel=2e-3)
+    edge = (layers.cover > 0) & (layers.cover < 1)
+    assert 150 < edge.sum() < 600  # about 300 pixels of outline, all of them softened
+
+
+def test_quick_pictures_are_close_to_fine_ones(head: Head) -> None:
+    camera = portrait_camera(head, (300, 330), yaw_rad=0.3)
+    fine = HeadRenderer(head, supersample=3).render(head.mesh.vertices, camera).astype(int)
+    quick = HeadRenderer(head, quick=True).render(head.mesh.vertices, camera)
+    off = np.abs(fine - quick)
+    assert off.mean() < 2.0 and np.quantile(off, 0.99) < 24
+
+
+def test_layers_over_the_backdrop_are_the_picture(head: Head) -> None:
+    camera = portrait_camera(head, (120, 135))
+    renderer = HeadRenderer(head)
+    layers = renderer.render_layers(head.mesh.vertices, camera)
+    backdrop = renderer.backdrop(camera.image_size)
+    shown = replace(layers, light=film_curve_of(layers))
+    mixed = srgb_from_linear(shown.over(linear_from_srgb(backdrop)))
+    picture = renderer.render(head.mesh.vertices, camera)
+    assert np.abs(mixed.astype(int) - picture).max() <= 1
+    assert layers.light.dtype == layers.cover.dtype == np.float32
+    assert (layers.cover >= 0).all() and (layers.cover <= 1).all()
+
+
+def film_curve_of(layers: Layers) -> NDArray[np.float32]:
+    cover = np.maximum(layers.cover, 1e-6)[..., None]
+    light = film_curve(np.asarray(layers.light / cover, dtype=np.float32))
+    return np.asarray(light * layers.cover[..., None])
+
+
+def test_the_film_curve_keeps_the_darks_and_never_reaches_white() -> None:
+    light = np.linspace(0, 6, 2001, dtype=np.float32)
+    shown = film_curve(light)
+    np.testing.assert_array_equal(shown[light <= 0.5], light[light <= 0.5])
+    slope = np.diff(shown) / np.diff(light)
+    assert (slope[light[1:] < 4] > 0).all() and shown.max() <= 1
+    assert np.abs(np.diff(slope)).max() < 0.02  # no kink
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_hits_lie_on_the_rays_of_their_pixels(head: Head, quick: bool) -> None:
+    camera = replace(
+        portrait_camera(head, (200, 220), yaw_rad=0.5),
+        distortion_model="opencv",
+        distortion=np.array((-0.2, 0.05, 0.001, 0.002, 0.0)),
+    )
+    v = head.shaped({"jawOpen": 0.5})
+    renderer = HeadRenderer(head, quick=quick, supersample=1)
+    layers = renderer.render_layers(v, camera)
+
+    rows, columns = np.nonzero(layers.triangle != NO_HIT)
+    w = layers.weights[rows, columns].astype(float)
+    b = np.column_stack([1 - w.sum(axis=1), w])
+    corners = v[head.mesh.triangles[layers.triangle[rows, columns]]]
+    at = camera.project(np.einsum("nc,ncx->nx", b, corners))
+    wanted = np.column_stack([columns + layers.box[0], rows + layers.box[1]])
+    assert len(rows) > 5000
+    # single precision; more on slivers seen along their plane
+    off = np.abs(at - wanted)
+    assert np.sqrt((off**2).mean()) < 2e-4 and off.max() < 0.02
+
+
+def test_light_is_linear_in_the_lamps() -> None:
+    b, camera = ball(), camera_for()
+    one = StageLights.preset("studio")
+
+    def doubled(lamp: Lamp) -> Lamp:
+        return replace(lamp, colour=2 * lamp.colour)
+
+    lamps = doubled(one.key), doubled(one.fill), doubled(one.rim)
+    two = StageLights(*lamps, 2 * one.sky, 2 * one.ground)
+    a = HeadRenderer(b, lights=one).render_layers(b.mesh.vertices, camera)
+    c = HeadRenderer(b, lights=two).render_layers(b.mesh.vertices, camera)
+    np.testing.assert_allclose(c.light, 2 * a.light, rtol=1e-5, atol=1e-6)
+    np.testing.assert_array_equal(a.cover, c.cover)
+
+
+def test_each_camera_gets_what_a_fresh_renderer_draws(head: Head) -> None:
+    cameras = [portrait_camera(head, (96, 108), yaw_rad=yaw) for yaw in (-0.6, 0.0, 0.6)]
+    first, second = head.shaped({"jawOpen": 0.4}), head.shaped({"mouthSmileLeft": 0.7})
+    hat = replace(facing_plate(0, 30, (0.2, 0.5, 0.2)), frame="head")
+    kept = HeadRenderer(head, quick=True)
+    for vertices, extra in ((first, ()), (second, ()), (second, (hat,)), (first, ())):
+        for camera in cameras:
+            pose = Rigid.identity()
+            here = kept.render_layers(vertices, camera, pose, extra=extra)
+            fresh = HeadRenderer(head, quick=True).render_layers(
+                vertices, camera, pose, extra=extra
+            )
+            assert np.array_equal(here.light, fresh.light)
+
+
+def test_an_extra_mesh_hides_what_is_behind_it_in_its_colour() -> None:
+    b, camera = ball(), camera_for()
+    red = facing_plate(100.0, 15.0, (0.6, 0.02, 0.02))
+    layers = HeadRenderer(b).render_layers(b.mesh.vertices, camera, extra=[red])
+    x0, y0, *_ = layers.box
+    corner = camera.project(np.array([-15.0, 15.0, 100.0]))
+    side = camera.project(np.array([15.0, -15.0, 100.0])) - corner
+
+    of_plate = (layers.triangle != NO_HIT) & (layers.triangle >= len(b.mesh.triangles))
+    rows, columns = np.nonzero(of_plate)
+    assert of_plate.sum() == pytest.approx(side.prod(), rel=0.15)
+    assert abs(columns.min() + x0 - corner[0]) <= 1 and abs(rows.min() + y0 - corner[1]) <= 1
+    r, g, _ = layers.light[of_plate & (layers.cover == 1)].mean(axis=0)
+    assert r > 8 * g
+
+
+def test_an_extra_mesh_casts_a_shadow_towards_where_the_light_goes() -> None:
+    b, camera = ball(), camera_for()
+    lights = StageLights.preset("hard sun")
+    towards = lights.key.towards
+    middle = 60.0 * np.array([0.0, 0.0, 1.0])
+    # a plate out of the picture, between the light and the nearest place of the ball
+    far = middle + 300 * towards
+    u = np.cross(towards, (0, 1, 0))
+    u /= np.linalg.norm(u)
+    v = np.cross(u, towards)
+    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    shade = plate([tuple(far + 12 * (a * u + c * v)) for a, c in signs], (0.5, 0.5, 0.5))
+    free = HeadRenderer(b, lights=lights).render_layers(b.mesh.vertices, camera)
+    dark = HeadRenderer(b, lights=lights).render_layers(b.mesh.vertices, camera, extra=[shade])
+
+    def at(layers: Layers, place: NDArray[np.float64]) -> float:
+        x, y = np.rint(camera.project(place)).astype(int) - layers.box[:2]
+        return float(layers.light[y, x].mean())
+
+    assert at(dark, middle) < 0.5 * at(free, middle)
+    beside = 60.0 * np.array([-0.5, 0.0, 0.866])
+    assert at(dark, beside) == pytest.approx(at(free, beside), rel=0.02)
+
+
+def test_an_extra_mesh_in_the_heads_frame_moves_with_it(head: Head) -> None:
+    camera = portrait_camera(head, (96, 108))
+    pose = Rigid.from_rotation(cv2.Rodrigues(np.array([0.0, 0.3, 0.1]))[0], (5, -8, 10))
+    here = facing_plate(60.0, 25.0, (0.1, 0.3, 0.6))
+    there = replace(here, vertices=pose.apply(here.vertices))
+    renderer = HeadRenderer(head, quick=True)
+    a = renderer.render_layers(
+        head.mesh.vertices, camera, pose, extra=[replace(here, frame="head")]
+    )
+    b = renderer.render_layers(head.mesh.vertices, camera, pose, extra=[there])
+    assert np.array_equal(a.light, b.light)
+    with pytest.raises(ValueError, match="needs world_from_head"):
+        renderer.render(head.mesh.vertices, camera, extra=[replace(here, frame="head")])
+
+
+def test_nothing_in_view_gives_empty_layers(head: Head) -> None:
+    camera = portrait_camera(head, (64, 72))
+    layers = HeadRenderer(head).render_layers(head.mesh.vertices + (0, 0, 5000.0), camera)
+    assert layers.box == (0, 0, 0, 0) and layers.light.shape == (0, 0, 3)
+    behind = np.full((72, 64, 3), 0.25, np.float32)
+    np.testing.assert_array_equal(layers.over(behind), behind)
+
+
+def test_presets_have_their_colours_and_shadows() -> None:
+    b, camera = ball(), camera_for()
+
+    def drawn(name: str) -> Layers:
+        lights = StageLights.preset(name)
+        return HeadRenderer(b, lights=lights).render_layers(b.mesh.vertices, camera)
+
+    light = {name: lit(drawn(name)) for name in LIGHT_NAMES}
+    warmth = {name: float(c[0] / c[2]) for name, c in light.items()}
+    assert warmth["warm room"] > 1.35 * warmth["overcast"]
+    means = np.array([c.mean() for c in light.values()])
+    assert means.max() < 1.6 * means.min()  # exposed alike
+
+    def contrast(name: str) -> float:
+        seen = drawn(name)
+        whole = seen.light[seen.cover == 1].mean(axis=1)
+        return float(np.quantile(whole, 0.95) / np.quantile(whole, 0.05))
+
+    assert contrast("hard sun") > 1.5 * contrast("overcast")
+    with pytest.raises(ValueError, match="lights must be one of studio"):
+        StageLights.preset("candle")
+
+
+def test_random_lights_follow_the_generator_and_come_from_in_front() -> None:
+    drawn = [StageLights.random(np.random.default_rng(k)) for k in range(60)]
+    again = StageLights.random(np.random.default_rng(7))
+    assert np.array_equal(again.key.towards, drawn[7].key.towards)
+    towards = np.array([lights.key.towards for lights in drawn])
+    assert (towards[:, 2] > 0.15).all()
+    assert (towards[:, 0] > 0.2).sum() > 10 and (towards[:, 0] < -0.2).sum() > 10
+
+
+def tilted_plate(lean: tuple[float, float], *, mirrored: bool = False) -> Head:
+    """A flat square head that faces the camera, whose normal map leans everywhere alike."""
+    v = np.array([(-40, -40, 0), (40, -40, 0), (40, 40, 0), (-40, 40, 0)], dtype=np.float64)
+    uv = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], dtype=np.float64)
+    if mirrored:
+        uv[:, 0] = 1 - uv[:, 0]
+    triangles = np.array([(0, 1, 2), (0, 2, 3)], np.int32)
+    n = np.array([*lean, np.sqrt(1 - lean[0] ** 2 - lean[1] ** 2)])
+    normal = np.tile(np.rint(n * 127.5 + 127.5).astype(np.uint8), (16, 16, 1))
+    looks = Appearance(np.full((16, 16, 3), 150, np.uint8), normal=normal)
+    none = SurfacePoints((), np.zeros((0, 3), np.int32), np.zeros((0, 3)))
+    mesh = Mesh(v, triangles, uv, triangles)
+    return Head("plate", mesh, none, {}, np.zeros(3), np.zeros(3), looks)
+
+
+def test_normal_maps_lean_as_gltf_says() -> None:
+    def light(lean: tuple[float, float], *, mirrored: bool = False) -> float:
+        head = tilted_plate(lean, mirrored=mirrored)
+        layers = HeadRenderer(head).render_layers(head.mesh.vertices, camera_for())
+        return float(layers.light[layers.cover == 1].mean())
+
+    # the key light comes from −x and from above; u runs along x, v along y
+    flat = light((0, 0))
+    assert light((-0.3, 0)) > 1.04 * flat > 1.08 * light((0.3, 0))
+    assert light((0, 0.3)) > 1.04 * flat > 1.08 * light((0, -0.3))
+    assert light((0.3, 0), mirrored=True) == pytest.approx(light((-0.3, 0)), rel=0.01)
+    assert light((0, 0.3), mirrored=True) == pytest.approx(light((0, 0.3)), rel=0.01)
+
+
+def test_light_comes_through_the_ears() -> None:
+    head = make_head(Identity("someone"))
+    camera = portrait_camera(head, (240, 270))
+    behind = StageLights(
+        key=Lamp(np.array([0.0, 0.1, 1.0]), np.full(3, 1e-6), 0.2),
+        fill=Lamp(np.array([0.0, 0.1, 1.0]), np.zeros(3), 0.2),
+        rim=Lamp(np.array([0.25, 0.2, -1.0]), np.full(3, 3.0), 0.2),
+        sky=np.zeros(3),
+        ground=np.zeros(3),
+    )
+    layers = HeadRenderer(head, lights=behind).render_layers(head.mesh.vertices, camera)
+    x, y = np.rint(camera.project(head.points["10.1"])).astype(int) - layers.box[:2]
+    ear = layers.light[y : y + 50, x - 12 : x + 12].reshape(-1, 3)
+    glowing = ear[ear[:, 0] > 0.02]
+    assert len(glowing) > 40
+    assert (glowing[:, 0] > 2 * glowing[:, 2]).mean() > 0.5  # through blood: red
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"triangles": np.array([(0, 1, 9)])}, "must index its 4 vertices"),
+        ({"colour": np.full((3, 3), 0.5)}, "colour must have shape"),
+        ({"colour": np.full((4, 3), 1.5)}, r"must lie in 0\.\.1"),
+        ({"vertices": np.full((4, 3), np.nan)}, "must be finite"),
+        ({"frame": "camera"}, "frame must be"),
+        ({"roughness": 0.0}, "roughness must lie"),
+    ],
+)
+def test_wrong_extra_meshes_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(facing_plate(0, 10, (0.5, 0.5, 0.5)), **change)

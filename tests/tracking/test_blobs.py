@@ -226,6 +226,31 @@ def test_the_level_found_parts_the_dots_from_the_skin() -> None:
     assert len(find_blobs(room, BlobSettings(level))) == len(true)
 
 
+def test_saturated_dots_have_a_level() -> None:
+    rng = np.random.default_rng(1)
+    level = np.full((400, 600), SKIN)
+    for x in range(60, 560, 60):
+        level += 400 * coverage(level.shape, np.array([x, 200.0]), 5.0, 5.0, 0.0)
+    image = grey(level + rng.normal(0, 2, size=level.shape))
+    assert (image == 255).sum() > 200  # more pixels share the top level than are looked at
+
+    found = find_level(image)
+
+    assert SKIN + 20 < found < 255 - 40
+    assert len(find_blobs(image, BlobSettings(found))) == 9
+
+
+def test_the_dots_level_is_the_mean_of_the_brightest_pixels() -> None:
+    image = np.full((200, 300), 40, np.uint8)
+    image[10:20, 10:25] = 240  # 150 pixels
+    image[50:60, 10:25] = 200  # 150 more, of which 50 belong to the brightest 200
+
+    dots = (150 * 240 + 50 * 200) / 200
+
+    assert np.sort(image.ravel())[-200:].mean() == dots
+    assert (find_level(image) - 40) / (dots - 40) == pytest.approx(0.38)
+
+
 @pytest.mark.parametrize("what", ["skin", "black", "noise"])
 def test_a_picture_without_dots_has_no_level(what: str) -> None:
     rng = np.random.default_rng(0)

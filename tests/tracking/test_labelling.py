@@ -189,14 +189,14 @@ def test_markers_that_come_back_get_their_names_again(
 ) -> None:
     """Six are lost while the head and the face move, neighbours at the same time."""
     T = len(true_positions)
-    labels = short_take.marker_set.labels
+    labels = ready_marker_set().labels
     lost = ("lip_upper_mid", "lip_upper_l", "lip_upper_r", "lid_upper_l", "lid_lower_l", "head_top")
     pieces = []
     for m, label in enumerate(labels):
         gap = [(m, 0, 20), (m, T - 4, T)] if label in lost else [(m, 0, T)]
         pieces += gap
 
-    found, _ = label_tracks(tracks_of(short_take, true_positions, pieces), short_take.marker_set)
+    found, _ = label_tracks(tracks_of(short_take, true_positions, pieces), ready_marker_set())
 
     assert found.names == labels
     np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))
@@ -214,11 +214,11 @@ def test_a_neutral_frame_amid_the_take_names_what_was_before_and_after(
     pieces += [(3, 0, 6), (3, 9, T), (9, 0, 14), (9, 22, T)]
 
     found, labelling = label_tracks(
-        tracks_of(short_take, true_positions, pieces), short_take.marker_set, neutral_frame=12
+        tracks_of(short_take, true_positions, pieces), ready_marker_set(), neutral_frame=12
     )
 
     np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))
-    assert set(labelling.track_of_label) == set(short_take.marker_set.labels)
+    assert set(labelling.track_of_label) == set(ready_marker_set().labels)
 
 
 def test_a_marker_never_seen_is_nan_throughout(short_take: Take, true_positions: Floats) -> None:
@@ -226,11 +226,11 @@ def test_a_marker_never_seen_is_nan_throughout(short_take: Take, true_positions:
     pieces = [(m, 0, T) for m in range(30) if m != 7]
 
     found, labelling = label_tracks(
-        tracks_of(short_take, true_positions, pieces), short_take.marker_set
+        tracks_of(short_take, true_positions, pieces), ready_marker_set()
     )
 
     np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))
-    assert short_take.marker_set.labels[7] not in labelling.track_of_label
+    assert ready_marker_set().labels[7] not in labelling.track_of_label
 
 
 def test_a_track_of_nothing_on_the_face_is_left_out(
@@ -243,7 +243,7 @@ def test_a_track_of_nothing_on_the_face_is_left_out(
     lamp = np.tile([150.0, 120, -60], (T, 1))
 
     found, _ = label_tracks(
-        tracks_of(short_take, true_positions, pieces, (late, lamp)), short_take.marker_set
+        tracks_of(short_take, true_positions, pieces, (late, lamp)), ready_marker_set()
     )
 
     np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))
@@ -256,7 +256,7 @@ def test_a_neutral_frame_outside_the_take_is_refused(
     tracks = tracks_of(short_take, true_positions, [(m, 0, T) for m in range(30)])
 
     with pytest.raises(InputError, match=f"neutral frame {T} is outside the take of {T} frames"):
-        label_tracks(tracks, short_take.marker_set, neutral_frame=T)
+        label_tracks(tracks, ready_marker_set(), neutral_frame=T)
 
 
 def test_a_neutral_face_without_markers_is_refused(
@@ -267,7 +267,7 @@ def test_a_neutral_face_without_markers_is_refused(
     )
 
     with pytest.raises(InputError, match="0 markers are visible in the neutral frame"):
-        label_tracks(tracks, short_take.marker_set, neutral_frame=2)
+        label_tracks(tracks, ready_marker_set(), neutral_frame=2)
 
 
 @pytest.mark.parametrize("lost", ["lip_upper_mid", "lid_lower_r", "chin_boss"])
@@ -276,7 +276,7 @@ def test_a_broken_track_does_not_lend_its_name_to_a_missing_neighbour(
 ) -> None:
     """Two pieces of one marker around the neutral frame, and a marker that is never seen."""
     T = len(true_positions)
-    labels = short_take.marker_set.labels
+    labels = ready_marker_set().labels
     rest = true_positions[0]
     m = labels.index(lost)
     distance = np.linalg.norm(rest - rest[m], axis=1)
@@ -284,6 +284,6 @@ def test_a_broken_track_does_not_lend_its_name_to_a_missing_neighbour(
     pieces = [(i, 0, T) for i in range(30) if i not in (m, neighbour)]
     pieces += [(neighbour, 0, 5), (neighbour, 7, T)]
 
-    found, _ = label_tracks(tracks_of(short_take, true_positions, pieces), short_take.marker_set)
+    found, _ = label_tracks(tracks_of(short_take, true_positions, pieces), ready_marker_set())
 
     np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))
