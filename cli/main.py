@@ -13,6 +13,9 @@ import typer
 
 from .. import __version__
 from .animate import animate
+from .calibrate_board import board as calibrate_board
+from .calibrate_rig import rig as calibrate_rig
+from .calibrate_tsai import tsai as calibrate_tsai
 from .demo import demo
 from .doctor import doctor
 from .errors import DebugOption, guarded
@@ -39,6 +42,9 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "synth photos": photos,
     "synth scan": scan,
     "synth voice": voice,
+    "calibrate tsai": calibrate_tsai,
+    "calibrate board": calibrate_board,
+    "calibrate rig": calibrate_rig,
     "track": track,
     "faps": faps,
     "animate": animate,
@@ -48,6 +54,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 #: What each group is about.
 GROUPS: dict[str, str] = {
+    "calibrate": "Cameras from known points and boards, and how sure they are, in mm.",
     "synth": "Make people and captures whose truth is known exactly.",
 }
 
