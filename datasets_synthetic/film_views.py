@@ -19,6 +19,7 @@ from .plain_views import PlainFilmer, Scenery
 from .takes import Take
 
 FLASH_STRENGTH, FLASH_DECAY_S = 3.0, 0.03
+_DIM = 0.35  # of the room's light, where markers shine
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,9 +135,6 @@ def _backdrops(take: Take) -> dict[str, NDArray[np.float32]]:
         light = room.seen_by(camera, take.optics).mean(axis=2)
         found[name] = (_DIM * light).astype(np.float32)
     return found
-
-
-_DIM = 0.35  # of the room's light, where markers shine
 
 
 class _PlainViews:
