@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..core.errors import InputError
-from .options import JsonOption, note, writable_file
+from .options import JsonOption, ReportOption, note, writable_file
 from .progress import Ticks, progress
 from .synth_board import BoardOption
 
@@ -58,10 +58,7 @@ def board(
             help="Default: camera.json beside the pictures, VIDEO.camera.json beside a video.",
         ),
     ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option("--report", metavar="report.html", help="Write a page (and a PNG) too."),
-    ] = None,
+    report: ReportOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """A camera's lens from views of a board, and how sure it is in mm."""

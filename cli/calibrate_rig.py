@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..core.errors import InputError
-from .options import JsonOption, note, writable_file
+from .options import JsonOption, ReportOption, note, writable_file
 from .progress import Ticks, progress
 from .synth_board import BoardOption
 
@@ -116,10 +116,7 @@ def rig(
         Path | None,
         typer.Option("--out", metavar="rig.json", help="Default: rig.json in TAKE_DIR."),
     ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option("--report", metavar="report.html", help="Write a page (and a PNG) too."),
-    ] = None,
+    report: ReportOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Cameras of a rig from a board that several of them see at the same time."""

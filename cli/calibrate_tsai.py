@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..core.errors import InputError
-from .options import JsonOption, note, writable_file
+from .options import JsonOption, ReportOption, note, writable_file
 
 if TYPE_CHECKING:
     from ..capture.tsai import TsaiCalibration
@@ -49,10 +49,7 @@ def tsai(
         Path | None,
         typer.Option("--out", metavar="camera.json", help="Default: POINTS.camera.json."),
     ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option("--report", metavar="report.html", help="Write a page (and a PNG) too."),
-    ] = None,
+    report: ReportOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """A camera, or its pose, from one picture of known points (Tsai 1987)."""

@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 JsonOption = Annotated[
     Path | None, typer.Option("--json", metavar="FILE", help="Write the results as JSON too.")
 ]
+ReportOption = Annotated[
+    Path | None,
+    typer.Option("--report", metavar="report.html", help="Write a page (and a PNG) too."),
+]
 NeutralOption = Annotated[
     str,
     typer.Option(

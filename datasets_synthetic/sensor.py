@@ -83,6 +83,20 @@ def _mixed(z):  # type: ignore[no-untyped-def]
     return z ^ (z >> np.uint64(31))
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _fill(noise, state, normal):  # type: ignore[no-untyped-def]
+    """A row of standard normal numbers, four from each state; returns the last state."""
+    mask = np.uint64(0xFFFF)
+    for x in range(0, len(noise) - 4, 4):
+        state += np.uint64(0x9E3779B97F4A7C15)
+        bits = _mixed(state)
+        noise[x] = normal[bits & mask]
+        noise[x + 1] = normal[(bits >> np.uint64(16)) & mask]
+        noise[x + 2] = normal[(bits >> np.uint64(32)) & mask]
+        noise[x + 3] = normal[bits >> np.uint64(48)]
+    return state
+
+
 @njit(cache=True, nogil=True)
 def _develop_linear(  # type: ignore[no-untyped-def]
     light, out, gain, shot, read, noisy, seed, normal, black
@@ -91,18 +105,11 @@ def _develop_linear(  # type: ignore[no-untyped-def]
     span = np.float32(255) - black
     base = black + np.float32(0.5)
     top = np.float32(255)
-    mask = np.uint64(0xFFFF)
     state = seed
     noise = np.zeros(w + 4, np.float32)
     for y in range(h):
         if noisy:
-            for x in range(0, w, 4):
-                state += np.uint64(0x9E3779B97F4A7C15)
-                bits = _mixed(state)
-                noise[x] = normal[bits & mask]
-                noise[x + 1] = normal[(bits >> np.uint64(16)) & mask]
-                noise[x + 2] = normal[(bits >> np.uint64(32)) & mask]
-                noise[x + 3] = normal[bits >> np.uint64(48)]
+            state = _fill(noise, state, normal)
         for x in range(w):
             s = gain * light[y, x]
             s = max(s, np.float32(0))
@@ -119,18 +126,11 @@ def _develop_curved(  # type: ignore[no-untyped-def]
     scale = np.float32((_STEPS - 1) / (1 - _LOWEST))
     base = np.float32(-_LOWEST * (_STEPS - 1) / (1 - _LOWEST) + 0.5)
     last = np.float32(_STEPS - 1)
-    mask = np.uint64(0xFFFF)
     state = seed
     noise = np.zeros(w + 4, np.float32)
     for y in range(h):
         if noisy:
-            for x in range(0, w, 4):
-                state += np.uint64(0x9E3779B97F4A7C15)
-                bits = _mixed(state)
-                noise[x] = normal[bits & mask]
-                noise[x + 1] = normal[(bits >> np.uint64(16)) & mask]
-                noise[x + 2] = normal[(bits >> np.uint64(32)) & mask]
-                noise[x + 3] = normal[bits >> np.uint64(48)]
+            state = _fill(noise, state, normal)
         for x in range(w):
             s = gain * light[y, x]
             s = max(s, np.float32(0))

@@ -238,21 +238,32 @@ def _inner_rules(face: TemplateFace, rule: Callable[..., None]) -> None:
         rule(fp_bottom, "teeth: lower edge", lambda bottom=bottom: bottom * (0, 1, 1), part)
 
 
-def write_table(path: Path) -> None:
-    """Place the points and write the table."""
-    template = load_template()
+def write_table(
+    path: Path, key: str, placed: list[tuple[str, Point, str, str]], template: Template
+) -> None:
+    """Write points of the template's surface: the nearest triangle to each place, and its rule.
+
+    Parameters
+    ----------
+    path : Path
+    key : str
+        Heads the column of names.
+    placed : list of (name, position mm, part, rule)
+    template : Template
+    """
     groups = template.groups()
     with open(path, "w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream, lineterminator="\n")
-        header = ["id", *(f"corner{i}" for i in range(3)), *(f"weight{i}" for i in range(3))]
+        header = [key, *(f"corner{i}" for i in range(3)), *(f"weight{i}" for i in range(3))]
         writer.writerow([*header, "x_mm", "y_mm", "z_mm", "part", "rule"])
-        for fp, p, part, how in place(template):
+        for name, p, part, how in placed:
             triangles = template.triangles[groups[part]]
             at, triangle, b = RayScene(template.vertices, triangles).closest(p[None])
             corners = triangles[triangle[0]]
-            weights = [f"{x:.6f}" for x in b[0]]
-            writer.writerow([fp, *corners, *weights, *(f"{x:.2f}" for x in at[0]), part, how])
+            weights = [f"{x:.6f}" for x in np.clip(b[0], 0, 1)]
+            writer.writerow([name, *corners, *weights, *(f"{x:.2f}" for x in at[0]), part, how])
 
 
 if __name__ == "__main__":
-    write_table(Path(__file__).parent / "data" / "feature_points.csv")
+    head = load_template()
+    write_table(Path(__file__).parent / "data" / "feature_points.csv", "id", place(head), head)

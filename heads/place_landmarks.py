@@ -9,14 +9,12 @@ a shaded picture of it.
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .place_feature_points import TemplateFace
-from .raycast import RayScene
+from .place_feature_points import TemplateFace, write_table
 from .template import Template, load_template, template_feature_points
 
 Point = NDArray[np.float64]
@@ -111,21 +109,6 @@ def _sides(face: TemplateFace, at: dict[str, Point]) -> list[tuple[str, Point, s
     ]
 
 
-def write_table(path: Path) -> None:
-    """Place the landmarks and write the table."""
-    template = load_template()
-    groups = template.groups()
-    with open(path, "w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        header = ["name", *(f"corner{i}" for i in range(3)), *(f"weight{i}" for i in range(3))]
-        writer.writerow([*header, "x_mm", "y_mm", "z_mm", "part", "rule"])
-        for name, p, part, how in place(template):
-            triangles = template.triangles[groups[part]]
-            at, triangle, b = RayScene(template.vertices, triangles).closest(p[None])
-            corners = triangles[triangle[0]]
-            weights = [f"{x:.6f}" for x in np.clip(b[0], 0, 1)]
-            writer.writerow([name, *corners, *weights, *(f"{x:.2f}" for x in at[0]), part, how])
-
-
 if __name__ == "__main__":
-    write_table(Path(__file__).parent / "data" / "farkas_landmarks.csv")
+    head = load_template()
+    write_table(Path(__file__).parent / "data" / "farkas_landmarks.csv", "name", place(head), head)
