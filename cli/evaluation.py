@@ -167,9 +167,7 @@ def evaluate(
     pixels = centre_errors(videos, truth, step=centre_step)
     mm = position_errors_mm(trajectories, truth)
     names = tuple(str(n) for n in truth["marker_names"])
-    filled = trajectories.select(names).is_filled
-    assert filled is not None
-    measured = ~np.isnan(mm) & ~filled
+    measured = ~np.isnan(mm) & trajectories.select(names).is_measured
     angles = np.rad2deg(rotation_errors_rad(performance.head_motion, truth))
     percent = fap_errors_percent(performance.faps, truth)
     tracked = [v for n, v in percent.items() if n not in performance.approximated]

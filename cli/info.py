@@ -167,7 +167,6 @@ def _c3d(path: Path) -> Description:
 
     found = read_c3d(path)
     seen = ~np.isnan(found.positions[..., 0])
-    assert found.is_filled is not None  # its constructor fills it in
     items: tuple[dict[str, Any], ...] = tuple(
         {
             "name": name,

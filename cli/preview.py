@@ -132,7 +132,6 @@ def _draw_tracks(
     frame: int,
     trail: int,
 ) -> None:
-    assert tracks.is_filled is not None
     for m, name in enumerate(tracks.names):
         colour = next((c for k, c in _COLOURS.items() if name.startswith(k)), (200, 200, 200))
         path = pixels[max(0, frame - trail) : frame + 1, m]

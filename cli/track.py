@@ -109,7 +109,6 @@ def run_track(
         frame = neutral_frame(neutral, trajectories)
         trajectories, labelling = label_tracks(trajectories, marker_set, neutral_frame=frame)
         trajectories = fill_gaps(trajectories, max_gap_s=max_gap_s)
-        assert trajectories.is_filled is not None
         missing = np.isnan(trajectories.positions[..., 0])
         never = [n for m, n in enumerate(trajectories.names) if missing[:, m].all()]
         if never:

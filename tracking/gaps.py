@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..core.trajectories import Trajectories
+from ..core.trajectories import Source, Trajectories
 
 DEFAULT_MAX_GAP_S = 0.1  # speech turns round in less than twice that
 _SUPPORT = 8  # samples on each side that shape the curve
@@ -26,7 +26,7 @@ def fill_gaps(trajectories: Trajectories, *, max_gap_s: float = DEFAULT_MAX_GAP_
     """
     t = trajectories.time_s
     positions = np.array(trajectories.positions)
-    filled = np.array(trajectories.is_filled)
+    source = np.array(trajectories.source)
     for m in range(len(trajectories.names)):
         known = np.flatnonzero(~np.isnan(positions[:, m, 0]))
         original = positions[:, m].copy()
@@ -38,13 +38,13 @@ def fill_gaps(trajectories: Trajectories, *, max_gap_s: float = DEFAULT_MAX_GAP_
             spline = CubicSpline(t[near], original[near], bc_type="natural")
             inside = np.arange(left + 1, right)
             positions[inside, m] = spline(t[inside])
-            filled[inside, m] = True
+            source[inside, m] = Source.INTERPOLATED
     return Trajectories(
         t,
         trajectories.names,
         positions,
         trajectories.covariances,
-        filled,
+        source,
         trajectories.residual_px,
         trajectories.n_views,
     )

@@ -322,5 +322,10 @@ def _merge(
             residual[there, m] = tracks.residual_px[there, row]
             n_views[there, m] = tracks.n_views[there, row]
     return Trajectories(
-        tracks.time_s, marker_set.labels, positions, covariances, None, residual, n_views
+        tracks.time_s,
+        marker_set.labels,
+        positions,
+        covariances,
+        residual_px=residual,
+        n_views=n_views,
     )

@@ -161,14 +161,13 @@ def _only_set(trajectories: Trajectories, marker_set: MarkerSet) -> Trajectories
             "needs for the head's motion"
         )
     positions = np.full((T, len(marker_set.labels), 3), np.nan)
-    filled = np.zeros((T, len(marker_set.labels)), bool)
-    assert trajectories.is_filled is not None
+    source = np.zeros((T, len(marker_set.labels)), np.uint8)
     for m, label in enumerate(marker_set.labels):
         if label in known:
             row = trajectories.names.index(label)
             positions[:, m] = trajectories.positions[:, row]
-            filled[:, m] = trajectories.is_filled[:, row]
-    return Trajectories(trajectories.time_s, marker_set.labels, positions, is_filled=filled)
+            source[:, m] = trajectories.source[:, row]
+    return Trajectories(trajectories.time_s, marker_set.labels, positions, source=source)
 
 
 def _neutral(trajectories: Trajectories, marker_set: MarkerSet, frame: int, axes: str) -> Neutral:

@@ -3,7 +3,8 @@
 What is written, and read back: positions as float32, mm (``POINT:UNITS``); a missing sample as
 (0, 0, 0) with a fourth word of -1, the format's mark; else that word holds a residual (low byte,
 in steps of ``POINT:SCALE``) and a mask of cameras (high byte). So our `residual_px` keeps 1/254
-of the take's largest; a residual of 0 is the format's mark for a sample that was filled in, and
+of the take's largest; a residual of 0 is the format's mark for a sample that was filled in (with
+camera 1 in the mask if it was reconstructed from other markers, with none if interpolated), and
 a measured one is written as at least one step. C3D's residuals are lengths, ours are pixels: the
 group ``FACEWRIGHT`` says so, and residuals of files without it are not taken for pixels. The mask
 has seven bits; we know the number of cameras only and set that many, seven at most.
@@ -29,7 +30,7 @@ from numpy.typing import NDArray
 
 from ..errors import FileFormatError, InputError
 from ..files import atomic_path
-from ..trajectories import Trajectories
+from ..trajectories import Source, Trajectories
 from .c3d_layout import (
     BLOCK_BYTES,
     MAX_FRAMES,
@@ -81,13 +82,15 @@ def read_c3d(path: Path) -> Trajectories:
         where = f"frame {broken[0][0]}, point {broken[0][1]}"
         raise FileFormatError(path, where, "finite numbers", "inf")
     marks_filled = is_ours or bool((residual[~is_missing] > 0).any())
+    source = _source(is_missing, (residual == 0) & marks_filled, (n_views > 0) & is_ours)
+    n_views = np.where(is_missing | (is_ours & (source >= Source.INTERPOLATED)), 0, n_views)
     return Trajectories(
         np.arange(layout.n_frames) / layout.rate_hz,
         _names(_labels(layout), layout.n_points),
         np.where(is_missing[..., None], np.nan, xyz * _unit_mm(path, layout)),
-        is_filled=(residual == 0) & ~is_missing & marks_filled,
+        source=source,
         residual_px=_residual_px(layout, residual, is_missing),
-        n_views=np.where(is_missing, 0, n_views) if n_views[~is_missing].any() else None,
+        n_views=n_views if n_views.any() else None,
     )
 
 
@@ -118,6 +121,14 @@ def write_c3d(path: Path, trajectories: Trajectories) -> None:
 
 
 # --- Reading ---
+
+
+def _source(
+    is_missing: NDArray[np.bool_], is_filled: NDArray[np.bool_], by_others: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
+    filled = np.where(by_others, Source.RECONSTRUCTED, Source.INTERPOLATED)
+    known = np.where(is_filled, filled, Source.MEASURED)
+    return np.where(is_missing, Source.MISSING, known).astype(np.uint8)
 
 
 def _read_points(path: Path, layout: Layout) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
@@ -249,10 +260,9 @@ def _check_names(names: Sequence[str]) -> None:
 
 def _fourth_words(trajectories: Trajectories) -> tuple[NDArray[np.float32], float]:
     """Each point's fourth word, (T, M), and the scale of its residual."""
-    residual, is_filled = trajectories.residual_px, trajectories.is_filled
-    assert is_filled is not None
+    residual = trajectories.residual_px
     if residual is None:
-        steps, scale = np.ones(is_filled.shape), np.float32(0.01)
+        steps, scale = np.ones(trajectories.source.shape), np.float32(0.01)
     else:
         known = np.isfinite(residual)
         largest = float(np.max(residual, where=known, initial=0.0))
@@ -262,9 +272,9 @@ def _fourth_words(trajectories: Trajectories) -> tuple[NDArray[np.float32], floa
     if trajectories.n_views is not None:
         n_cameras = np.clip(trajectories.n_views, 0, _N_CAMERA_BITS)
         steps = steps + 256 * (2.0**n_cameras - 1)
-    words = np.where(is_filled, 0.0, steps)
-    is_missing = np.isnan(trajectories.positions[..., 0])
-    return np.where(is_missing, -1.0, words).astype(np.float32), float(scale)
+    words = np.where(trajectories.source == Source.INTERPOLATED, 0.0, steps)
+    words = np.where(trajectories.source == Source.RECONSTRUCTED, 256.0, words)
+    return np.where(trajectories.is_missing, -1.0, words).astype(np.float32), float(scale)
 
 
 def _new_document(trajectories: Trajectories, rate_hz: float, scale: float) -> Any:

@@ -24,7 +24,7 @@ from facewright.cli.evaluation import (
 from facewright.core.clip import Clip
 from facewright.core.head_motion import HeadMotion
 from facewright.core.mpeg4 import Fapu, fap_by_name, fap_table
-from facewright.core.trajectories import Trajectories
+from facewright.core.trajectories import Source, Trajectories
 from facewright.core.video_writer import VideoWriter
 from facewright.datasets_synthetic.film import FilmedTake
 from facewright.tracking.performance import Neutral, TrackedPerformance
@@ -93,11 +93,12 @@ def test_a_known_offset_is_found_again(filmed_take: FilmedTake, truth: Truth) ->
     way = rng.normal(size=truth["marker_positions"].shape)
     way /= np.linalg.norm(way, axis=2, keepdims=True)
     off = truth["marker_positions"] + 0.25 * way
-    filled = np.zeros(off.shape[:2], bool)
-    filled[5:8, 3] = True
+    source = np.ones(off.shape[:2], np.uint8)
+    source[5:8, 3] = Source.INTERPOLATED
+    source[9, 4] = Source.MISSING
     off[5:8, 3] += 3.0 * way[5:8, 3]  # 3.25 mm off, but put into a gap
     off[9, 4] = np.nan
-    given = Trajectories(truth["time_s"], labels(truth), off, is_filled=filled)
+    given = Trajectories(truth["time_s"], labels(truth), off, source=source)
 
     errors = position_errors_mm(given, truth)
     stages = evaluate(

@@ -14,7 +14,7 @@ from facewright.core.markers import Marker, MarkerSet
 from facewright.core.mesh import Mesh, SurfacePoints, vertex_normals
 from facewright.core.rig import Rig
 from facewright.core.rigid import Rigid
-from facewright.core.trajectories import Trajectories
+from facewright.core.trajectories import Source, Trajectories
 
 TIMES = np.arange(5) / 50.0
 
@@ -26,15 +26,15 @@ def trajectories() -> Trajectories:
     rng = np.random.default_rng(0)
     positions = rng.normal(size=(5, 3, 3))
     positions[2, 1] = np.nan
-    filled = np.zeros((5, 3), bool)
-    filled[3, 2] = True
+    source = np.ones((5, 3), np.uint8)
+    source[2, 1], source[3, 2] = Source.MISSING, Source.INTERPOLATED
     covariances = np.tile(np.eye(3), (5, 3, 1, 1))
     return Trajectories(
         TIMES,
         ("a", "b", "c"),
         positions,
         covariances,
-        filled,
+        source,
         np.ones((5, 3)),
         np.ones((5, 3), np.int32),
     )
@@ -44,15 +44,27 @@ def test_selecting_markers_takes_everything_of_them() -> None:
     whole = trajectories()
     part = whole.select(("c", "a"))
     assert part.names == ("c", "a")
-    for name in ("positions", "covariances", "is_filled", "residual_px", "n_views"):
+    for name in ("positions", "covariances", "source", "residual_px", "n_views"):
         np.testing.assert_array_equal(getattr(part, name), getattr(whole, name)[:, [2, 0]])
     assert part.rate_hz == 50
 
 
 def test_nothing_is_filled_unless_said() -> None:
     plain = Trajectories(TIMES, ("a",), np.zeros((5, 1, 3)))
-    assert plain.is_filled is not None and not plain.is_filled.any()
+    assert not plain.is_filled.any()
+    assert plain.is_measured.all()
     assert plain.residual_px is None
+
+
+def test_a_sample_is_missing_where_it_has_no_position_and_only_there() -> None:
+    positions = np.zeros((5, 2, 3))
+    positions[1, 1] = np.nan
+    found = Trajectories(TIMES, ("a", "b"), positions)
+    assert np.argwhere(found.is_missing).tolist() == [[1, 1]]
+    assert (found.is_measured != found.is_missing).all()
+    for source in (Source.MISSING, 7):
+        with pytest.raises(ValueError, match="source"):
+            Trajectories(TIMES, ("a", "b"), positions, source=np.full((5, 2), source, np.uint8))
 
 
 @pytest.mark.parametrize(

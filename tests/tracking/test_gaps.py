@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from facewright.core.trajectories import Trajectories
+from facewright.core.trajectories import Source, Trajectories
 from facewright.tracking.gaps import fill_gaps
 
 Floats = NDArray[np.float64]
@@ -25,7 +25,7 @@ def trajectories(
     covariances[np.isnan(p[:, :, 0])] = np.nan
     n_views = np.where(np.isnan(p[:, :, 0]), 0, 3).astype(np.int32)
     residual = np.where(np.isnan(p[:, :, 0]), np.nan, 0.1)
-    return Trajectories(t, ("a",), p, covariances, None, residual, n_views)
+    return Trajectories(t, ("a",), p, covariances, residual_px=residual, n_views=n_views)
 
 
 def test_a_straight_line_is_continued_exactly_at_uneven_times() -> None:
@@ -66,7 +66,6 @@ def test_only_gaps_up_to_the_length_are_filled_and_flagged() -> None:
 
     found = fill_gaps(given, max_gap_s=6 / RATE_HZ)
 
-    assert found.is_filled is not None
     assert np.flatnonzero(found.is_filled[:, 0]).tolist() == [10, 11, 12, 13, 14]
     assert np.flatnonzero(np.isnan(found.positions[:, 0, 0])).tolist() == [*range(30, 36)]
 
@@ -77,7 +76,6 @@ def test_the_ends_of_the_take_stay_open() -> None:
     found = fill_gaps(trajectories(curve, [(0, 2), (28, 30)]), max_gap_s=1.0)
 
     assert np.isnan(found.positions[[0, 1, 28, 29]]).all()
-    assert found.is_filled is not None
     assert not found.is_filled.any()
 
 
@@ -95,13 +93,12 @@ def test_what_was_measured_is_left_as_it_is() -> None:
 
 def test_flags_that_were_there_stay() -> None:
     given = trajectories(np.zeros((20, 3)), [])
-    flags = np.zeros((20, 1), bool)
-    flags[7] = True
-    given = Trajectories(given.time_s, given.names, given.positions, is_filled=flags)
+    flags = np.ones((20, 1), np.uint8)
+    flags[7] = Source.RECONSTRUCTED
+    given = Trajectories(given.time_s, given.names, given.positions, source=flags)
 
     found = fill_gaps(given)
 
-    assert found.is_filled is not None
     assert np.flatnonzero(found.is_filled).tolist() == [7]
 
 

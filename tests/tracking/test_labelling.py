@@ -173,7 +173,12 @@ def tracks_of(
     names = tuple(f"m{i:03d}" for i in range(p.shape[1]))
     residual = np.where(seen, 0.1, np.nan)
     return Trajectories(
-        take.time_s, names, p, covariances, None, residual, np.where(seen, 4, 0).astype(np.int32)
+        take.time_s,
+        names,
+        p,
+        covariances,
+        residual_px=residual,
+        n_views=np.where(seen, 4, 0).astype(np.int32),
     )
 
 

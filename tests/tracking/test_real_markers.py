@@ -44,7 +44,6 @@ def test_filled_gaps_of_real_markers_beat_straight_lines(real_data: Path, name: 
         line = ends[0] + np.linspace(0, 1, 7)[1:-1, None] * (ends[1] - ends[0])
         cubic.append(np.linalg.norm(filled.positions[rows, marker] - true, axis=1))
         straight.append(np.linalg.norm(line - true, axis=1))
-        assert filled.is_filled is not None
         assert filled.is_filled[rows, marker].all()
     rms = [float(np.sqrt(np.mean(np.square(e)))) for e in (cubic, straight)]
     assert rms[0] < 0.8 * rms[1], f"cubic {rms[0]:.3f} mm, straight {rms[1]:.3f} mm"

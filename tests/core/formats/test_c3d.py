@@ -14,7 +14,7 @@ import pytest
 
 from facewright.core.errors import FileFormatError, InputError
 from facewright.core.formats.c3d import read_c3d, write_c3d
-from facewright.core.trajectories import Trajectories
+from facewright.core.trajectories import Source, Trajectories
 
 T, M = 50, 4
 FLOAT32 = 2.0**-24
@@ -26,15 +26,16 @@ def take(frames: int = T, markers: int = M, rate_hz: float = 60.0, seed: int = 0
     positions = rng.normal(scale=300, size=(frames, markers, 3))
     positions[3, 0] = 0
     missing = rng.random((frames, markers)) < 0.2
-    filled = ~missing & (rng.random((frames, markers)) < 0.1)
+    filled = ~missing & (rng.random((frames, markers)) < 0.2)
     missing[3, 0] = filled[3, 0] = False
     positions[missing] = np.nan
     measured = ~missing & ~filled
+    source = np.where(filled, rng.integers(2, 4, filled.shape), measured).astype(np.uint8)
     residual = np.where(measured, rng.gamma(2, 0.1, (frames, markers)), np.nan)
     views = np.where(measured, rng.integers(2, 8, (frames, markers)), 0).astype(np.int32)
     names = tuple(f"marker_{n:03}" for n in range(markers))
     times = np.arange(frames) / rate_hz
-    return Trajectories(times, names, positions, None, filled, residual, views)
+    return Trajectories(times, names, positions, None, source, residual, views)
 
 
 @pytest.mark.parametrize("rate_hz", [25.0, 60.0, 59.94, 119.88, 240.0])
@@ -48,7 +49,7 @@ def test_what_is_written_reads_back(tmp_path: Path, rate_hz: float) -> None:
     assert found.rate_hz == pytest.approx(rate_hz, rel=1e-12)
     np.testing.assert_array_equal(np.isnan(found.positions), np.isnan(whole.positions))
     np.testing.assert_allclose(found.positions, whole.positions, rtol=FLOAT32, atol=0)
-    np.testing.assert_array_equal(found.is_filled, whole.is_filled)
+    np.testing.assert_array_equal(found.source, whole.source)
     np.testing.assert_array_equal(found.n_views, whole.n_views)
     assert whole.residual_px is not None and found.residual_px is not None
     step = np.nanmax(whole.residual_px) / 254
@@ -58,11 +59,11 @@ def test_what_is_written_reads_back(tmp_path: Path, rate_hz: float) -> None:
 
 def test_what_is_not_there_is_not_read_back(tmp_path: Path) -> None:
     whole = take()
-    plain = Trajectories(whole.time_s, whole.names, whole.positions, is_filled=whole.is_filled)
+    plain = Trajectories(whole.time_s, whole.names, whole.positions, source=whole.source)
     write_c3d(tmp_path / "a.C3D", plain)
     found = read_c3d(tmp_path / "a.C3D")
     assert found.residual_px is None and found.n_views is None and found.covariances is None
-    np.testing.assert_array_equal(found.is_filled, whole.is_filled)
+    np.testing.assert_array_equal(found.source, whole.source)
     assert [p.name for p in tmp_path.iterdir()] == ["a.C3D"]
 
 
@@ -72,7 +73,7 @@ def test_measured_samples_without_a_residual_stay_without(tmp_path: Path) -> Non
     write_c3d(tmp_path / "a.c3d", whole)
     found = read_c3d(tmp_path / "a.c3d")
     np.testing.assert_allclose(found.residual_px, residual, atol=3 / 254)  # type: ignore[arg-type]
-    assert found.is_filled is not None and not found.is_filled.any()
+    assert not found.is_filled.any()
 
 
 def test_ezc3d_reads_what_we_write(tmp_path: Path) -> None:
@@ -102,7 +103,7 @@ def test_missing_samples_and_fourth_words_are_the_formats(tmp_path: Path) -> Non
         ("a", "b"),
         positions,
         None,
-        np.array([[False, False], [True, False]]),
+        np.array([[Source.MEASURED, Source.MISSING], [Source.INTERPOLATED, Source.MEASURED]]),
         np.array([[0.5, np.nan], [np.nan, 2.54]]),
         np.array([[3, 0], [0, 9]], np.int32),
     )
@@ -147,7 +148,7 @@ def test_other_units_become_millimetres(tmp_path: Path, unit: str, mm: float) ->
     np.testing.assert_allclose(found.positions, expected)
     assert found.names == ("left", "right")
     assert found.rate_hz == 100
-    assert found.is_filled is not None and not found.is_filled.any()
+    assert not found.is_filled.any()
     assert found.residual_px is None
 
 
