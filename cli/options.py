@@ -49,6 +49,18 @@ def note(text: str) -> None:
     print(f"facewright: {text}", file=sys.stderr)
 
 
+def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
+    """Width and height of ``"1280x720"``, px; wrong usage (naming the option) if it is none."""
+    import re
+
+    found = re.fullmatch(r"([0-9]{1,6})[xX×]([0-9]{1,6})", text.strip())
+    if found is None or not (int(found[1]) and int(found[2])):
+        raise typer.BadParameter(
+            f"expected WIDTHxHEIGHT in pixels, such as 1280x720, got {text}", param_hint=option
+        )
+    return int(found[1]), int(found[2])
+
+
 def neutral_frame(when: str, trajectories: Trajectories) -> int:
     """The frame that `--neutral` names: ``"12"`` or ``"0.2s"``.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..core.errors import InputError
-from .options import HeadOption, note, writable_file
+from .options import HeadOption, note, parse_size, writable_file
 from .progress import Ticks
 
 if TYPE_CHECKING:
@@ -64,10 +64,7 @@ def retarget(
 
 
 def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise typer.BadParameter("expected WIDTHxHEIGHT, such as 720x720", param_hint="--size")
-    found = int(width), int(height)
+    found = parse_size(text)
     if not all(64 <= n <= 4096 and n % 2 == 0 for n in found):
         raise typer.BadParameter("width and height: even, 64 to 4096", param_hint="--size")
     return found

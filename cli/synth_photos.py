@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import note, writable_folder
+from .options import note, parse_size, writable_folder
 from .progress import Ticks
 
 if TYPE_CHECKING:
@@ -54,19 +53,11 @@ def photos(
         uniform=uniform,
         turned=turned,
     )
-    folder = writable_folder(out)
     session = plan_photos(person(head, seed), settings, seed)
+    folder = writable_folder(out)
     with Ticks(count, "photographing") as tick:
         write_photos(folder, session, on_photo=tick)
     note(f"wrote {folder}/ photo*.jpg head.ply points/ photos.toml truth.npz truth/")
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of ``"1520x1004"``; wrong usage if it is none."""
-    found = re.fullmatch(r"([0-9]{1,5})[xX×]([0-9]{1,5})", text.strip())
-    if found is None:
-        raise typer.BadParameter(f"expected WIDTHxHEIGHT, got {text}", param_hint="--size")
-    return int(found[1]), int(found[2])
 
 
 def person(name: str | None, seed: int) -> Head:

@@ -41,8 +41,8 @@ def scan(
 
     if patches and kind is not ScanKind.mesh:
         raise typer.BadParameter("goes with --kind mesh only", param_hint="--patches")
-    folder = writable_folder(out)
     target = ScanTarget(person(head, seed), seed)
+    folder = writable_folder(out)
     if kind is ScanKind.cylinder:
         write_cylinder_scan(folder, target, scan_cylinder(target, seed), seed)
         note(f"wrote {folder}/ range.png colour.png scan.npz truth.ply truth.npz scan.toml")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..core.errors import InputError
-from .options import note, writable_folder
+from .options import note, parse_size, writable_folder
 from .progress import Ticks
 
 if TYPE_CHECKING:
@@ -76,7 +75,7 @@ def take(
     changes: dict[str, Any] = {
         "seconds": seconds,
         "cameras.count": cameras,
-        "cameras.image_size": _size(size),
+        "cameras.image_size": None if size is None else parse_size(size),
         "cameras.rate_hz": rate,
         "performance.style": style,
         "performance.voice": True if voice else None,
@@ -124,15 +123,6 @@ def _check_names(asked: TakeSettings) -> None:
 
 def _say(n_pieces: int) -> None:
     note(f"going on from an interrupted run: {n_pieces} pieces are there")
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    found = re.fullmatch(r"([0-9]{1,5})[xX×]([0-9]{1,5})", text.strip())
-    if found is None:
-        raise InputError(f"--size {text}: expected WIDTHxHEIGHT, like 1280x720")
-    return int(found[1]), int(found[2])
 
 
 def _troubles(text: str | None) -> dict[str, Any]:

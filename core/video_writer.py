@@ -322,8 +322,8 @@ class _Quality:
         if self.max_bit_rate is not None:
             limit = {"maxrate": str(self.max_bit_rate), "bufsize": str(2 * self.max_bit_rate)}
         if codec in ("libx264", "libx265"):
-            # x264's macroblock tree may weigh a block otherwise from run to run
-            params = {"x264-params": "mbtree=0:aq-mode=0"}
+            # with a rate limit and several threads, x264's choices depend on their timing
+            params = {"x264-params": "mbtree=0:aq-mode=0:threads=1:lookahead-threads=1"}
             same = params if self.reproducible and codec == "libx264" else {}
             return {"crf": str(self.crf), "preset": self.preset, **same, **limit}
         if codec == "libvpx-vp9":

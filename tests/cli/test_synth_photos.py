@@ -9,7 +9,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from facewright.cli.synth_photos import parse_size, photos
+from facewright.cli.options import parse_size
+from facewright.cli.synth_photos import photos
 from facewright.cli.synth_scan import scan
 from facewright.core.formats.ply import read_ply
 
