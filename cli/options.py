@@ -105,7 +105,9 @@ def find_marker_set(given: str | None, beside: Path) -> MarkerSet | None:
     from ..heads.marker_sets import READY_SETS, ready_marker_set
 
     if given is not None:
-        return ready_marker_set(given) if given in READY_SETS else read_marker_set(Path(given))
+        if given in READY_SETS or not given.endswith(".toml"):
+            return ready_marker_set(given)
+        return read_marker_set(Path(given))
     found = beside / "markers.toml"
     if not found.is_file():
         return None

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..core.errors import InputError
-from .options import note, writable_folder
+from .options import find_marker_set, note, writable_folder
 from .tables import print_table
 
 if TYPE_CHECKING:
+    from ..core.markers import MarkerSet
     from ..heads.head import Head
 
 _PORTRAIT_PX = (960, 1080)
@@ -38,6 +39,13 @@ def head(
     count: Annotated[
         int, typer.Option(min=1, max=100_000, help="That many random people, in folders.")
     ] = 1,
+    markers: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SET.toml",
+            help="Also markers.png, where to glue them, and markers.toml: a file or a ready set.",
+        ),
+    ] = None,
     list_heads: Annotated[bool, typer.Option("--list", help="List the built-in heads.")] = False,
 ) -> None:
     """A head: head.glb, portrait, chart, textures, points.csv and bones.
@@ -51,6 +59,7 @@ def head(
         raise typer.BadParameter("say where to with --out DIR, or use --list", param_hint="--out")
     if name is not None and seed is not None:
         raise typer.BadParameter("a built-in head has no seed", param_hint="--seed")
+    marker_set = None if markers is None else find_marker_set(markers, out)
     if seed is None:
         from ..heads.catalogue import built_in_head
 
@@ -59,7 +68,9 @@ def head(
         for option, given in (("--age", age), ("--sex", sex)):
             if given is not None:
                 raise typer.BadParameter("a random person needs a --seed", param_hint=option)
-        _write(writable_folder(out), built_in_head(name or "ruth"))
+        made = built_in_head(name or "ruth")
+        _write(writable_folder(out), made)
+        _write_marker_chart(out, made, marker_set)
         note(f"wrote {out}/ head.glb portrait.png chart.png points.csv bones.glb and textures")
         return
     from .progress import progress
@@ -68,7 +79,9 @@ def head(
     writable_folder(out)
     for number in progress(range(seed, seed + count), count, "heads"):
         folder = out if count == 1 else writable_folder(out / f"person-{number}")
-        _write(folder, _someone(number, years, female))
+        made = _someone(number, years, female)
+        _write(folder, made)
+        _write_marker_chart(folder, made, marker_set)
     note(f"wrote {out}/ with {count} {'person' if count == 1 else 'people'}")
 
 
@@ -112,6 +125,18 @@ def _female(text: str) -> bool | None:
     if text not in known:
         raise InputError(f"--sex {text}: expected any, female or male")
     return known[text]
+
+
+def _write_marker_chart(folder: Path, made: Head, marker_set: MarkerSet | None) -> None:
+    from ..core.formats.markers_toml import write_marker_set
+    from ..heads.chart import marker_chart
+    from .pictures import write_png
+
+    if marker_set is None:
+        return
+    write_marker_set(folder / "markers.toml", marker_set)
+    write_png(folder / "markers.png", marker_chart(made, marker_set))
+    note(f"wrote {folder}/markers.png and markers.toml of {marker_set.name}")
 
 
 def _write(folder: Path, made: Head) -> None:

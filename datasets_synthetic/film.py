@@ -349,12 +349,19 @@ def _join(take: Take, pieces: Sequence[Path], folder: Path) -> None:
 
 
 def _measured(take: Take, marker_set: MarkerSet) -> MarkerSet:
-    """The marker set with the actor's units as callipers give them."""
+    """The marker set with its markers' size, and the actor's units as callipers give them."""
     units = {
         name: round(round(getattr(take.head.fapu, name) / CALLIPER_MM) * CALLIPER_MM, 6)
         for name in ("irisd", "es", "ens", "mns", "mw")
     }
-    return replace(marker_set, fapu=Fapu(**units))
+    markers = take.markers
+    assert markers is not None
+    return replace(
+        marker_set,
+        fapu=Fapu(**units),
+        diameter_mm=2 * float(np.median(markers.radius_mm)),
+        standoff_mm=float(np.median(markers.stand_off_mm)) if markers.kind == "spheres" else 0.0,
+    )
 
 
 def _truth_arrays(take: Take, beats: slice, keep_vertices: bool) -> dict[str, NDArray[np.generic]]:

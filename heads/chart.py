@@ -1,13 +1,17 @@
-"""A chart of a head's feature points, to check by eye where they lie."""
+"""Charts of a head's feature points and of where markers go, to check by eye."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.camera import Camera
+from ..core.markers import MarkerSet
 from .head import Head
+from .marker_sets import glue_markers
 from .raycast import RayScene
 from .render import HeadRenderer, portrait_camera
 
@@ -31,13 +35,39 @@ def feature_point_chart(head: Head) -> NDArray[np.uint8]:
         Bright: on the surface that is seen. Grey: behind or within it. The side view shows the
         subject's left, and only points that are not on the right.
     """
+    return _chart(head, head.points)
+
+
+def marker_chart(head: Head, marker_set: MarkerSet) -> NDArray[np.uint8]:
+    """Front and side views with every marker of a set where it is to be glued.
+
+    Parameters
+    ----------
+    head : Head
+    marker_set : MarkerSet
+
+    Returns
+    -------
+    (h, w, 3) uint8, sRGB
+        As of `feature_point_chart`.
+
+    Raises
+    ------
+    InputError
+        If the head lacks a feature point of the set.
+    """
+    glue = glue_markers(head, marker_set)
+    return _chart(head, dict(zip(glue.names, glue.at(head.mesh.vertices), strict=True)))
+
+
+def _chart(head: Head, points: Mapping[str, NDArray[np.float64]]) -> NDArray[np.uint8]:
     renderer = HeadRenderer(head)
     panels = []
     for name, yaw in _VIEWS:
         camera = portrait_camera(head, _PANEL_PX, yaw_rad=yaw)
         panel = renderer.render(head.mesh.vertices, camera)
-        points = {n: p for n, p in head.points.items() if name == "front" or p[0] > -1.0}
-        panels.append(_labelled(panel, head, camera, points))
+        shown = {n: p for n, p in points.items() if name == "front" or p[0] > -1.0}
+        panels.append(_labelled(panel, head, camera, shown))
     return np.concatenate(panels, axis=1)
 
 
@@ -53,13 +83,14 @@ def _labelled(
     at = camera.project(np.array([points[n] for n in names]))
     seen = _is_seen(head, camera, np.array([points[n] for n in names]))
     middle = np.median(at[:, 0])
+    margin = 14 + max(cv2.getTextSize(n, _FONT, _TEXT_SCALE, 1)[0][0] for n in names)
     for side in (0, 1):
         rows = [i for i in range(len(names)) if (at[i, 0] >= middle) == bool(side)]
         rows.sort(key=lambda i: at[i, 1])
         ys = _spread(np.array([at[i, 1] for i in rows]), height)
         for i, y in zip(rows, ys, strict=True):
             colour = _SEEN if seen[i] else _BEHIND
-            end = (width - 52, round(y)) if side else (52, round(y))
+            end = (width - margin, round(y)) if side else (margin, round(y))
             dot = (round(at[i, 0]), round(at[i, 1]))
             cv2.line(found, dot, end, colour, 1, cv2.LINE_AA)
             cv2.circle(found, dot, 3, (20, 20, 20), -1, cv2.LINE_AA)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib.resources import as_file, files
 
 import numpy as np
@@ -9,13 +10,14 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..core.formats.markers_toml import read_marker_set
-from ..core.markers import MarkerSet
-from ..core.mesh import SurfacePoints
+from ..core.markers import FACE, MarkerSet
+from ..core.mesh import Mesh, SurfacePoints
 from .head import Head
+from .identity import Identity, make_head
 from .raycast import RayScene
 
 #: Marker sets that come with the package, by name.
-READY_SETS = ("kshirsagar",)
+READY_SETS = ("kshirsagar", "full53", "few16")
 #: How far from the lid's edge a lid marker is glued, so that upper and lower never touch.
 LID_OFFSET_MM = 1.8
 #: How far beside the corner of the mouth its marker is glued: in the crease it would be cut off.
@@ -49,6 +51,8 @@ def glue_markers(head: Head, marker_set: MarkerSet) -> SurfacePoints:
 
 def _marker_spot(head: Head, marker_set: MarkerSet, index: int) -> NDArray[np.float64]:
     marker = marker_set.markers[index]
+    if marker.feature_point == FACE and np.array_equal(head.mesh.triangles, _average().triangles):
+        return _same_place(head, np.array(marker.template_mm))
     if marker.template_mm is not None:
         return np.array(marker.template_mm) * _size(head)
     if marker.feature_point not in head.points:
@@ -57,6 +61,19 @@ def _marker_spot(head: Head, marker_set: MarkerSet, index: int) -> NDArray[np.fl
     spot[1] += _LID_POINTS.get(marker.feature_point, 0.0) * LID_OFFSET_MM
     spot[0] += _CORNER_POINTS.get(marker.feature_point, 0.0) * CORNER_OFFSET_MM
     return spot
+
+
+@cache
+def _average() -> Mesh:
+    return make_head(Identity("average")).mesh
+
+
+def _same_place(head: Head, spot: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where a spot of the average head's skin is on another head of ours."""
+    average = _average()
+    skin = average.triangles[average.groups["skin"]]
+    _, triangle, b = RayScene(average.vertices, skin).closest(spot[None])
+    return np.asarray(b[0] @ head.mesh.vertices[skin[triangle[0]]])
 
 
 def _size(head: Head) -> NDArray[np.float64]:

@@ -4,10 +4,13 @@
 
     version = 1
     name = "lab set"
+    diameter_mm = 4.0              # optional: of the markers
+    standoff_mm = 2.5              # optional: from the skin to the centre of a ball; 0 for dots
 
     [[marker]]
     label = "chin"
-    feature_point = "2.1"          # an MPEG-4 feature point, or "head"
+    feature_point = "2.1"          # an MPEG-4 feature point, "head" or "face"
+    colour = "#20a040"             # optional: of a painted dot, sRGB
 
     [[marker]]
     label = "brow_band_left"
@@ -21,7 +24,12 @@
     mns = 17.0                     # from the base of the nose to the lips' meeting line
     mw = 50.5                      # between the corners of the mouth
 
-``template_mm`` is optional for feature points and needed for head markers.
+    [[marker]]
+    label = "cheek_between"
+    feature_point = "face"         # moves with the skin, shows no feature point
+    template_mm = [38.0, -40.0, 62.0]
+
+``template_mm`` is optional for feature points and needed for head and face markers.
 """
 
 from __future__ import annotations
@@ -36,14 +44,14 @@ from typing import Any
 
 from ..errors import FileFormatError, InputError
 from ..files import atomic_write, read_text
-from ..markers import HEAD, Marker, MarkerSet
+from ..markers import FACE, HEAD, Marker, MarkerSet
 from ..mpeg4 import Fapu, feature_point_table
 
 VERSION = 1
 _MAX_BYTES = 4 * 1024 * 1024
-_FILE_KEYS = ("version", "name", "marker", "fapu")
+_FILE_KEYS = ("version", "name", "diameter_mm", "standoff_mm", "marker", "fapu")
 _FAPU_KEYS = ("irisd", "es", "ens", "mns", "mw")
-_MARKER_KEYS = ("label", "feature_point", "template_mm")
+_MARKER_KEYS = ("label", "feature_point", "template_mm", "colour")
 
 
 def read_marker_set(path: Path) -> MarkerSet:
@@ -52,8 +60,8 @@ def read_marker_set(path: Path) -> MarkerSet:
     Raises
     ------
     FileFormatError
-        ``set.toml, marker "chin", feature_point: expected a feature point like "8.1", or "head",
-        found "99.1"``; a syntax error names line and column, an unknown key is named.
+        ``set.toml, marker "chin", feature_point: expected a feature point like "8.1", "head" or
+        "face", found "99.1"``; a syntax error names line and column, an unknown key is named.
     InputError
         If the markers are each right but do not make a set (a label twice, fewer than 3 head
         markers); the message names the file.
@@ -71,8 +79,18 @@ def read_marker_set(path: Path) -> MarkerSet:
         raise FileFormatError(path, "file", "tables headed [[marker]]", _show(entries))
     markers = tuple(_marker(path, number, entry) for number, entry in enumerate(entries, 1))
     fapu = _fapu(path, document["fapu"]) if "fapu" in document else None
+    diameter = document.get("diameter_mm")
+    standoff = document.get("standoff_mm", 0.0)
+    for key, value in (
+        ("diameter_mm", 1.0 if diameter is None else diameter),
+        ("standoff_mm", standoff),
+    ):
+        if not _is_length(value):
+            raise FileFormatError(path, key, "a length in mm", _show(value))
     try:
-        return MarkerSet(name, markers, fapu)
+        return MarkerSet(
+            name, markers, fapu, None if diameter is None else float(diameter), float(standoff)
+        )
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
@@ -81,12 +99,18 @@ def write_marker_set(path: Path, marker_set: MarkerSet) -> None:
     """Write a marker set; it reads back as it was."""
     with atomic_write(path) as stream:
         stream.write(f"version = {VERSION}\nname = {_quoted(marker_set.name)}\n")
+        if marker_set.diameter_mm is not None:
+            stream.write(f"diameter_mm = {float(marker_set.diameter_mm)!r}\n")
+        if marker_set.standoff_mm:
+            stream.write(f"standoff_mm = {float(marker_set.standoff_mm)!r}\n")
         for marker in marker_set.markers:
             stream.write(f"\n[[marker]]\nlabel = {_quoted(marker.label)}\n")
             stream.write(f"feature_point = {_quoted(marker.feature_point)}\n")
             if marker.template_mm is not None:
                 numbers = ", ".join(repr(float(x)) for x in marker.template_mm)
                 stream.write(f"template_mm = [{numbers}]\n")
+            if marker.colour is not None:
+                stream.write(f"colour = {_quoted(marker.colour)}\n")
         if marker_set.fapu is not None:
             stream.write("\n[fapu]\n")
             for key in _FAPU_KEYS:
@@ -141,10 +165,14 @@ def _marker(path: Path, number: int, entry: Any) -> Marker:
     where = f'marker "{label}"'
     _refuse_unknown(path, where, entry, _MARKER_KEYS)
     point = entry.get("feature_point")
-    if not isinstance(point, str) or (point != HEAD and point not in feature_point_table()):
-        expected = 'a feature point like "8.1", or "head"'
+    known = (HEAD, FACE, *feature_point_table())
+    if not isinstance(point, str) or point not in known:
+        expected = 'a feature point like "8.1", "head" or "face"'
         raise FileFormatError(path, f"{where}, feature_point", expected, _show(point))
-    return Marker(label, point, _template(path, where, entry.get("template_mm")))
+    colour = entry.get("colour")
+    if colour is not None:
+        colour = _text(path, f"{where}, colour", colour)
+    return Marker(label, point, _template(path, where, entry.get("template_mm")), colour)
 
 
 def _fapu(path: Path, entry: Any) -> Fapu:

@@ -55,8 +55,10 @@ def test_markers_are_on_the_skin_at_their_feature_points(people: tuple[Head, ...
                 assert np.linalg.norm(d) < 1e-3
 
 
-def test_no_two_dots_touch(people: tuple[Head, ...]) -> None:
-    marker_set = ready_marker_set()
+@pytest.mark.parametrize(("name", "n"), [("kshirsagar", 30), ("full53", 53), ("few16", 16)])
+def test_no_two_dots_touch(people: tuple[Head, ...], name: str, n: int) -> None:
+    marker_set = ready_marker_set(name)
+    assert len(marker_set.markers) == n
     for head in people:
         p = glue_markers(head, marker_set).at(head.mesh.vertices)
         d = np.linalg.norm(p[:, None] - p, axis=2) + 1e3 * np.eye(len(p))

@@ -35,7 +35,10 @@ def test_what_is_written_reads_back(tmp_path: Path) -> None:
     odd = 'a "b" \\ ä\t\x01\x7f\n'
     heads = tuple(Marker(f"h{n}", "head", (n / 3, -1e-7, 1e5)) for n in range(3))
     markers = MarkerSet(odd, (*heads, Marker(odd, "8.1"), Marker("b", "9.3", (0.1, 0.2, 0.3))))
-    for given in (markers, replace(markers, fapu=Fapu(9.5, 62.0, 45.5, 1 / 3, 50.5))):
+    face = Marker("c", "face", (1.0, 2.0, 3.0), "#20a040")
+    measured = replace(markers, fapu=Fapu(9.5, 62.0, 45.5, 1 / 3, 50.5))
+    balls = replace(markers, markers=(*heads, face), diameter_mm=1 / 3, standoff_mm=2.5)
+    for given in (markers, measured, balls):
         write_marker_set(tmp_path / "m.toml", given)
         assert read_marker_set(tmp_path / "m.toml") == given
 
@@ -64,7 +67,7 @@ def test_units_that_are_no_lengths_are_refused(tmp_path: Path, line: str) -> Non
         ("version = 1\n", "name: expected a text in quotes, found nothing"),
         (START, r"tables headed \[\[marker\]\], found nothing"),
         (START + "marker = [1]", r"marker 1: expected a table headed"),
-        (START + HEADS + "\n[extra]", 'only the keys version, name, marker, .*, found "extra"'),
+        (START + HEADS + "\n[extra]", 'only the keys version, name, .*, found "extra"'),
         (START + HEADS + "\n[[marker]]\nfeature_point='8.1'", "marker 4, label: .* found nothing"),
         (START + HEADS + "\n[[marker]]\nlabel='a'", 'marker "a", feature_point: .* found nothing'),
         (
@@ -75,6 +78,8 @@ def test_units_that_are_no_lengths_are_refused(tmp_path: Path, line: str) -> Non
         (START + HEADS + "\n[[marker]]\nlabel='a'\nfeaturepoint='8.1'", 'found "featurepoint"'),
         (START + HEADS.replace("[2, 1.5, -2]", "[2, 1.5]"), 'marker "h2", template_mm: expected'),
         (START + HEADS.replace("[2, 1.5, -2]", "[2, nan, 1]"), "template_mm"),
+        (START + "diameter_mm = '4'\n" + HEADS, 'diameter_mm: expected a length in mm, found "4"'),
+        (START + HEADS + "\ncolour = 3", 'marker "h2", colour: expected a text'),
         (START + HEADS.replace("[2, 1.5, -2]", "[2, true, 1]"), "template_mm"),
     ],
 )
@@ -91,6 +96,13 @@ def test_errors_name_the_place(tmp_path: Path, text: str, message: str) -> None:
         (HEADS.replace('"h2"', '"h1"'), "label h1 is given twice"),
         (HEADS[: HEADS.rindex("[[")], "at least 3 markers"),
         (HEADS[: HEADS.rindex("template")], "head marker h2 needs template_mm"),
+        (
+            HEADS + "\n[[marker]]\nlabel='a'\nfeature_point='face'",
+            "face marker a needs template_mm",
+        ),
+        (HEADS + "\ncolour = 'red'", 'marker h2 has colour "red"'),
+        ("standoff_mm = -1\n" + HEADS, "standoff_mm is -1"),
+        ("diameter_mm = 0\n" + HEADS, "diameter_mm is 0"),
     ],
 )
 def test_sets_that_cannot_be_used_name_the_file(tmp_path: Path, text: str, message: str) -> None:
