@@ -56,8 +56,7 @@ def judge_seed(seed: int, seconds: float, takes: Path | None) -> list[Stage]:
         start = time.perf_counter()
         tracked = track_videos(filmed.videos, read_rig(filmed.rig)).trajectories
         tracking_s = time.perf_counter() - start
-        labelled, _ = label_tracks(tracked, marker_set)
-        labelled = fill_gaps(labelled)
+        labelled = fill_gaps(label_tracks(tracked, marker_set).trajectories)
         truth = load_truth(filmed.truth)
         performance = analyse(labelled, marker_set)
         stages = evaluate(filmed.videos, truth, labelled, performance)

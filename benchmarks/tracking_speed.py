@@ -1,15 +1,20 @@
 """How fast marker tracking is, decoding included, and its dot finder against peers.
 
-    python benchmarks/tracking_speed.py TAKE_DIR [--repeats 5]
+    python benchmarks/tracking_speed.py TAKE_DIR [TAKE_DIR ...] [--repeats 5]
 
-TAKE_DIR is a folder of `facewright synth take` (or demo). Peers run on the same decoded pictures
-in the same run: OpenCV's SimpleBlobDetector and trackpy's locate; accuracy stands beside time.
+TAKE_DIR is a folder of `facewright synth take` (or demo); give one of a low and one of a high bit
+rate (``--set video.max_bit_rate=25000000 --set video.crf=1``). The whole way is timed, from videos
+to `.fap`: decode, find dots, track, label, fill, write C3D, head motion, FAPs. Peers run on the
+same decoded pictures in the same run: OpenCV's SimpleBlobDetector and trackpy's locate; accuracy
+stands beside time.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import platform
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
@@ -22,9 +27,14 @@ import trackpy
 from numpy.typing import NDArray
 
 from facewright.cli.evaluation import UNOCCLUDED, load_truth
+from facewright.core.formats.c3d import read_c3d
+from facewright.core.formats.fap import write_fap
+from facewright.core.formats.markers_toml import read_marker_set
 from facewright.core.formats.rig_json import read_rig
-from facewright.core.video import read_frames
+from facewright.core.video import probe_video, read_frames
 from facewright.tracking.blobs import BlobSettings, find_blobs, find_level
+from facewright.tracking.long_takes import track_long
+from facewright.tracking.performance import analyse
 from facewright.tracking.videos import track_videos, warm_up
 
 PICTURES = 40  # a camera, for the peers
@@ -45,33 +55,64 @@ def blob_detector(level: float) -> cv2.SimpleBlobDetector:
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("take", type=Path)
+    parser.add_argument("takes", type=Path, nargs="+", metavar="TAKE_DIR")
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    videos = sorted(options.take.glob("cam*.mp4"))
-    rig, truth = read_rig(options.take / "rig.json"), load_truth(options.take / "truth.npz")
+    print(f"{platform.machine()}, {os.cpu_count()} processors, Python {platform.python_version()}, "
+          f"OpenCV {cv2.__version__}, trackpy {trackpy.__version__}")  # fmt: skip
     warm_up()
-    track_videos(videos, rig)
-    n = len(truth["time_s"]) * len(videos)
-    print(f"{platform.machine()}, Python {platform.python_version()}, OpenCV {cv2.__version__}, "
-          f"trackpy {trackpy.__version__}; {n} camera frames, {len(videos)} cameras")  # fmt: skip
-    rates, bare = [], []
-    for _ in range(options.repeats):
-        start = time.perf_counter()
+    print("\n| take | Mbit/s a camera | camera frames | videos to .fap, camera frames/s "
+          "| of bare decoding % | tracking alone | bare decoding, one after another |")  # fmt: skip
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for take in options.takes:
+        time_take(take, options.repeats)
+    videos, truth = videos_of(options.takes[0]), load_truth(options.takes[0] / "truth.npz")
+    compare(videos, truth)
+
+
+def videos_of(take: Path) -> list[Path]:
+    """The videos of a take's cameras."""
+    rig = read_rig(take / "rig.json")
+    return sorted(p for p in take.iterdir() if p.stem in rig.cameras)
+
+
+def time_take(take: Path, repeats: int) -> None:
+    """One row: the medians."""
+    videos, rig = videos_of(take), read_rig(take / "rig.json")
+    marker_set = read_marker_set(take / "markers.toml")
+    mbit_s = [p.stat().st_size * 8e-6 / probe_video(p).duration_s for p in videos]
+    n = 0
+
+    def whole() -> None:
+        nonlocal n
+        with tempfile.TemporaryDirectory() as scratch:
+            out = Path(scratch) / "markers.c3d"
+            n = track_long(videos, rig, out, marker_set=marker_set).n_frames * len(videos)
+            performance = analyse(read_c3d(out), marker_set)
+            write_fap(Path(scratch) / "performance.fap", performance.faps)
+
+    def tracking() -> None:
         track_videos(videos, rig)
-        rates.append(n / (time.perf_counter() - start))
-        start = time.perf_counter()
+
+    def bare() -> None:
         for path in videos:
             with closing(read_frames(path, gray=True)) as frames:
                 for _frame in frames:
                     pass
-        bare.append(n / (time.perf_counter() - start))
-    print("| what | camera frames/s |\n| --- | --- |")
-    print(f"| videos to trajectories, decoding included (median of {options.repeats}) "
-          f"| {np.median(rates):.0f} |")  # fmt: skip
-    print(f"| bare decoding of the same files, one after another | {np.median(bare):.0f} |")
-    compare(videos, truth)
+
+    whole()  # compiles what is left, and makes what is kept of the marker set
+    rates = []
+    for work in (whole, tracking, bare):
+        times = []
+        for _ in range(repeats):
+            start = time.perf_counter()
+            work()
+            times.append(time.perf_counter() - start)
+        rates.append(n / float(np.median(times)))
+    print(f"| {take.name} | {np.mean(mbit_s):.1f} | {n} | {rates[0]:.0f} "
+          f"| {100 * rates[0] / rates[2]:.0f} | {rates[1]:.0f} | {rates[2]:.0f} |",
+          flush=True)  # fmt: skip
 
 
 def compare(videos: list[Path], truth: dict[str, NDArray[np.generic]]) -> None:

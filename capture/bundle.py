@@ -12,7 +12,8 @@ thousand views costs a thousand small inverses. Rotations change by exp(δ) R, f
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,6 +111,8 @@ class Bundle:
     target_information : (L, T, T) float64
         Of the T free parameters of each target, for fixed globals.
     mixed_information : (L, G, T) float64
+    target_free : (6,) bool
+        Which of a target's δrotation and translation were estimated.
     converged : bool
     n_steps : int
     """
@@ -125,6 +128,7 @@ class Bundle:
     information: Floats
     target_information: Floats
     mixed_information: Floats
+    target_free: NDArray[np.bool_]
     converged: bool
     n_steps: int
 
@@ -174,6 +178,54 @@ def covariance_of(information: Floats) -> Floats:
     values, vectors = np.linalg.eigh(information * np.outer(scale, scale))
     held = np.maximum(values, _UNDETERMINED)
     return np.asarray((vectors / held) @ vectors.T * np.outer(scale, scale))
+
+
+@dataclass(frozen=True, eq=False)
+class TargetPart:
+    """What one target's observations add to the normal equations at a solution.
+
+    Attributes
+    ----------
+    H : (G, G) float64
+        Information of the global parameters, the target held.
+    g : (G,) float64
+        Half the slope of the sum of squares, downhill.
+    g_target : (T,) float64
+        The same by the target's free parameters.
+    """
+
+    H: Floats
+    g: Floats
+    g_target: Floats
+
+
+def target_parts(fit: Bundle) -> Iterator[TargetPart]:
+    """A solution's normal equations target by target."""
+    state = _State.of(fit.cameras, fit.target_rotation, fit.target_translation)
+    data, free = fit.data, fit.target_free
+    ends = np.searchsorted(data.target, np.arange(len(fit.target_rotation) + 1))
+    for k, (start, end) in enumerate(itertools.pairwise(ends)):
+        at, zeros = slice(start, end), np.zeros(end - start, dtype=np.int64)
+        # an observation that a robust loss weighs less is as one of a larger deviation
+        sd = data.sd_px[at] / np.sqrt(fit.weights[at])
+        _, H, g, _, g_target, _, _, _ = _accumulate(
+            data.camera[at], zeros, data.points[at], data.pixels[at], sd,
+            np.array([0, end - start]), state.intrinsics, state.model, state.free, state.n_free,
+            state.start, state.pose_start, state.n_global, state.R, state.t,
+            state.target_R[k : k + 1], state.target_t[k : k + 1], np.inf,
+        )  # fmt: skip
+        yield TargetPart(H, g, g_target[0, free])
+
+
+def root_of(covariance: Floats) -> Floats:
+    """A matrix whose product with its transpose is the covariance.
+
+    Entries may have very different sizes: a focal length beside a distortion.
+    """
+    sd = np.sqrt(np.maximum(np.diag(covariance), 0))
+    scale = np.where(sd > 0, sd, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(sd[:, None] * (vectors * np.sqrt(np.maximum(values, 0))))
 
 
 def _width(camera: BundleCamera) -> int:
@@ -396,6 +448,7 @@ def _result(
         parts.H - eliminated,
         H_t,
         M,
+        free,
         converged,
         n_steps,
     )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
-from itertools import product
 
 import cv2
 import numpy as np
@@ -25,6 +25,8 @@ _MOST_OFF = 0.2
 _LEAST_FIT = 0.7
 #: A corner is looked for within this many squares of a marker that was read.
 _NEAR = 0.95
+#: The same for markers beyond the asked board, where its map is extended: so many times that.
+_MOST_BEYOND = 3.0
 _MARKER_SIZE_OFF = 0.08
 _MOST_COLUMNS = 30
 #: Dictionaries tried, when that of the board is not in the picture, from common to rare.
@@ -54,7 +56,16 @@ def find_charuco(image: Image, board: Board) -> Sighting | NotSeen:
     board_map = _placed(board, seen, ids)
     if board_map is None:
         return _not_this_layout(board, seen, ids)
-    return _corners(image, board, board_map, seen, ids)
+    rows = _rows_shown(board, board_map, seen, ids)
+    if rows > board.rows:
+        return NotSeen(
+            f"wrong size: the picture shows {rows} rows or more of {board.columns} squares, "
+            f"not {board.columns}x{board.rows}"
+        )
+    found = _corners(image, board, board_map, seen, ids)
+    if isinstance(found, Sighting) and rows < board.rows:
+        return replace(found, notes=(*found.notes, *_absent_rows(image, board, board_map, rows)))
+    return found
 
 
 def _markers(
@@ -107,6 +118,32 @@ def _side(seen: Floats) -> float:
     """Median side of the markers, px."""
     sides = np.linalg.norm(seen - np.roll(seen, 1, axis=1), axis=2)
     return float(np.median(sides))
+
+
+def _rows_shown(board: Board, board_map: BoardMap, seen: Floats, ids: NDArray[np.intp]) -> int:
+    """Rows of squares down to the last marker that lies where such a board has it.
+
+    Ids go on row by row, so a print with more rows has this board in its upper part.
+    """
+    most = _board_of(board, board.columns, _rows_for(board.columns, int(ids.max())), board.legacy)
+    layout = _layout(board if most is None or most.rows < board.rows else most)
+    known = ids < len(layout)
+    off = np.linalg.norm(board_map(layout[ids[known]]) - seen[known], axis=2).max(axis=1)
+    fits = off < _MOST_OFF * _MOST_BEYOND * _side(seen)
+    return _rows_for(board.columns, int(ids[known][fits].max())) if fits.any() else 0
+
+
+def _absent_rows(image: Image, board: Board, board_map: BoardMap, rows: int) -> tuple[str, ...]:
+    """A word on last rows that should be in the picture, all of them, and are not."""
+    layout = _layout(board).reshape(-1, 2)
+    below = board_map(layout[layout[:, 1] > rows * board.square_mm])
+    h, w = image.shape
+    if not len(below) or not ((below > 0) & (below < (w - 1, h - 1))).all():
+        return ()
+    return (
+        f"no marker below row {rows} of {board.rows} is seen, though there is room: "
+        f"is it a board of {board.columns}x{rows}?",
+    )
 
 
 def _corners(
@@ -189,26 +226,34 @@ def _without_markers(image: Image, board: Board, n: int) -> NotSeen:
 def _not_this_layout(board: Board, seen: Floats, ids: NDArray[np.intp]) -> NotSeen:
     """Another pattern or another size explains the markers."""
     text = f"{board.columns}x{board.rows}"
-    sizes = [(not board.legacy, board.columns)]  # the likeliest first
-    sizes += product((board.legacy, not board.legacy), range(2, _MOST_COLUMNS))
-    for legacy, columns in sizes:
-        # ids go row by row: how many rows there are shows only in the largest
-        rows = _rows_for(columns, int(ids.max()))
-        for n in (board.rows, rows, rows + 1) if columns == board.columns else (rows, rows + 1):
-            other = _board_of(board, columns, n, legacy)
-            if other is None or _placed(other, seen, ids) is None:
-                continue
-            if columns == board.columns and legacy != board.legacy:
-                which = "OpenCV's legacy pattern" if legacy else "the pattern since OpenCV 4.6"
-                return NotSeen(
-                    f"legacy pattern: markers are placed as in {which}; give the board "
-                    f"{'with' if legacy else 'without'} :legacy"
-                )
+    for legacy, columns, n in _other_layouts(board, int(ids.max())):
+        other = _board_of(board, columns, n, legacy)
+        if other is None or _placed(other, seen, ids) is None:
+            continue
+        if columns == board.columns and legacy != board.legacy:
+            which = "OpenCV's legacy pattern" if legacy else "the pattern since OpenCV 4.6"
             return NotSeen(
-                f"wrong size: markers fit a board of {columns} columns and {rows} rows or more "
-                f"of squares, not {text}"
+                f"legacy pattern: markers are placed as in {which}; give the board "
+                f"{'with' if legacy else 'without'} :legacy"
             )
+        rows = _rows_for(columns, int(ids.max()))
+        return NotSeen(
+            f"wrong size: markers fit a board of {columns} columns and {rows} rows or more "
+            f"of squares, not {text}"
+        )
     return NotSeen(f"{len(ids)} markers are seen, but not where a {text} board has them")
+
+
+def _other_layouts(board: Board, largest_id: int) -> Iterator[tuple[bool, int, int]]:
+    """Pattern, columns and rows that a print may have instead, the likeliest first."""
+    yield not board.legacy, board.columns, board.rows
+    for columns in (board.columns, *range(2, _MOST_COLUMNS)):
+        # ids go row by row: how many rows there are shows only in the largest
+        rows = _rows_for(columns, largest_id)
+        yield board.legacy, columns, rows
+        yield board.legacy, columns, rows + 1
+        # the patterns differ where the number of rows is even
+        yield not board.legacy, columns, rows + rows % 2
 
 
 def _rows_for(columns: int, largest_id: int) -> int:

@@ -31,6 +31,14 @@ _MAX_LINES = 60
 _LEAST_OFF_PX = 0.3  # from the place the others give: below it nothing is thought wrong
 _RIMS = (np.s_[0], np.s_[-1], np.s_[:, 0], np.s_[:, -1])
 _SEEDS = ((7, 5), (5, 4), (4, 4), (4, 3), (3, 3))
+#: Grids of this size or larger, and how they are looked for.
+_OPEN_SEEDS = (
+    ((3, 3), cv2.CALIB_CB_NORMALIZE_IMAGE),
+    ((4, 3), cv2.CALIB_CB_EXHAUSTIVE),
+    ((5, 4), cv2.CALIB_CB_EXHAUSTIVE),
+)
+#: Where the grey levels of a square are looked at, of its sides.
+_INSIDE = np.array([0.25, 0.5, 0.75])
 
 
 def find_chessboard(image: Image, board: Board, *, thorough: bool = True) -> Sighting | NotSeen:
@@ -238,6 +246,8 @@ def grown(image: Image, grid: Floats, *, most_lines: int = _MAX_LINES) -> Floats
     (rows, columns, 2) float64, px, or None
         None where the given grid itself is no chessboard.
     """
+    if not (np.isfinite(grid).all() and _has_squares(image, grid)):
+        return None
     for _ in range(most_lines):
         before = grid.shape
         for quarter in range(4):
@@ -250,6 +260,29 @@ def grown(image: Image, grid: Floats, *, most_lines: int = _MAX_LINES) -> Floats
         if grid.shape == before:
             break
     return grid
+
+
+def _has_squares(image: Image, grid: Floats) -> bool:
+    """Whether black and white squares lie between the corners (rows, columns, 2) px of a grid.
+
+    A detector that leaves corners out can come home with a smaller grid, each corner of which is
+    right. Its cells are mixtures of squares, which differ within by more than from each other.
+    """
+    rows, columns = grid.shape[:2]
+    v, u = (a.ravel()[:, None, None, None] for a in np.meshgrid(_INSIDE, _INSIDE))
+    top = (1 - u) * grid[:-1, :-1] + u * grid[:-1, 1:]
+    bottom = (1 - u) * grid[1:, :-1] + u * grid[1:, 1:]
+    h, w = image.shape
+    x, y = np.rint((1 - v) * top + v * bottom).astype(int).clip(0, (w - 1, h - 1)).T
+    levels = image[y, x].astype(np.float64).T  # (9, rows - 1, columns - 1)
+    level = levels.mean(axis=0)
+    sign = (-1.0) ** np.add.outer(np.arange(rows - 1), np.arange(columns - 1))
+    down = np.diff(level, axis=0) * sign[:-1]
+    along = np.diff(level, axis=1) * sign[:, :-1]
+    steps = np.concatenate([down.ravel(), along.ravel()])
+    if not len(steps):
+        return True  # one square: nothing to compare it with
+    return abs(float(np.median(steps))) > float(np.median(np.ptp(levels, axis=0)))
 
 
 def _next_line(image: Image, grid: Floats) -> Floats | None:
@@ -308,16 +341,19 @@ def _crossing(image: Image, at: Floats, points: Floats, board_map: BoardMap) -> 
 
 
 def _seeds(image: Image) -> Iterator[Floats]:
-    """Small grids of corners somewhere in the picture, (rows, columns, 2) px."""
-    for scaled, factor in list(_scales(image))[:2]:
+    """Grids of corners in the picture, (rows, columns, 2) px; the cheapest search first."""
+    scales = list(_scales(image))[:2]
+    for scaled, factor in scales:
+        for size, how in _OPEN_SEEDS:
+            flags = cv2.CALIB_CB_LARGER | how
+            found, corners, meta = cv2.findChessboardCornersSBWithMeta(scaled, size, flags)
+            if found and meta is not None:
+                yield _full_size(corners, factor).reshape(*meta.shape, 2)
+    for scaled, factor in scales:
         for columns, rows in _SEEDS:
             found, corners = cv2.findChessboardCorners(scaled, (columns, rows), flags=_CLASSIC)
             if found:
                 yield _full_size(corners, factor).reshape(rows, columns, 2)
-        flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_NORMALIZE_IMAGE
-        found, corners, meta = cv2.findChessboardCornersSBWithMeta(scaled, (3, 3), flags)
-        if found and meta is not None:
-            yield _full_size(corners, factor).reshape(*meta.shape, 2)
 
 
 def _explained(image: Image, board: Board) -> Sighting | NotSeen:

@@ -8,6 +8,7 @@ which follows from the dots: a few rounds settle it.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import cv2
 import numpy as np
@@ -37,6 +38,12 @@ _RINGS, _SPOKES = 6, 24
 _BLOCKS, _BELOW_MEAN = (0.4, 0.15, 0.06), 6
 _LEAST_AREA = 10.0
 _LEAST_OF_CONTRAST = 0.45
+Place = tuple[int, int]
+_FOUR_WAYS = [(1, 0), (-1, 0), (0, 1), (0, -1)]
+_MOST_GROWTH = 60
+_NEAR_PLACE = 0.35  # of a step, from where a dot is expected
+_LEAST_LINE = 0.5  # of a line's places, before it belongs to the board
+_MOST_COUNTED = 400
 
 
 def find_circles(image: Image, board: Board) -> Sighting | NotSeen:
@@ -59,16 +66,16 @@ def find_circles(image: Image, board: Board) -> Sighting | NotSeen:
         return _not_found(image, board, blobs)
     ordered, changed = put_in_order(points, rough, _nearest(board))
     if ordered is None:
+        whole = _grid_of_all(blobs)
+        if whole is not None:
+            return NotSeen(_not_asked(board, *whole))
         return NotSeen("mis-ordered: dots were found, but no order makes them this board")
-    fitted = BoardMap.fit(points, ordered)
-    if fitted is None or not in_order(points, ordered, _nearest(board)):
+    if BoardMap.fit(points, ordered) is None or not in_order(points, ordered, _nearest(board)):
         return NotSeen("mis-ordered: the dots found do not lie as on a flat board")
-    beyond = _dots_beyond(board, fitted, blobs)
-    if beyond:
-        return NotSeen(
-            f"wrong size: rows or columns of dots go on beyond {board.columns}x{board.rows} "
-            f"({beyond} more dots beside it)"
-        )
+    columns, rows = _size_shown(board, ordered, blobs)
+    if (columns, rows) != (board.columns, board.rows):
+        whole = _grid_of_all(blobs)
+        return NotSeen(_not_asked(board, *(whole or (columns, rows, board.asymmetric))))
     order = preferred(board, look_alikes(board), ordered)
     notes = ["the detector's order was wrong and was put right"] * changed
     return _measured(image, board, ordered[order], notes)
@@ -153,50 +160,130 @@ def _rough(board: Board, blobs: Floats) -> Floats | None:
     return None
 
 
-def _dots_beyond(board: Board, fitted: BoardMap, blobs: Floats) -> int:
-    """Blobs where the next rows or columns would be; 0 unless they fill half of one."""
-    if not len(blobs):
-        return 0
-    points = board.object_points()[:, :2]
-    period = 2 * board.square_mm if board.asymmetric else board.square_mm
+def _lattice(columns: int, rows: int, asymmetric: bool) -> Floats:
+    """Whole-numbered places of dots, row by row, (N, 2); neighbours are 1 or (1, 1) apart."""
+    row, column = np.mgrid[0:rows, 0:columns].reshape(2, -1)
+    return np.stack([2 * column + row % 2 if asymmetric else column, row], axis=1).astype(float)
+
+
+def _size_shown(board: Board, ordered: Floats, blobs: Floats) -> tuple[int, int]:
+    """Columns and rows of the dots in the picture, the board's included.
+
+    Parameters
+    ----------
+    ordered : (N, 2) float64, px
+        In the order of the board's points.
+    blobs : (M, 3) float64, px
+    """
+    steps = [(1, 1), (1, -1), (-1, 1), (-1, -1)] if board.asymmetric else _FOUR_WAYS
+    at = _lattice(board.columns, board.rows, board.asymmetric)
+    known = {(int(x), int(y)): p for (x, y), p in zip(at, ordered, strict=True)}
     tree = cKDTree(blobs[:, :2])
-    for way in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        moved = points + np.array(way) * period
-        new = cKDTree(points).query(moved)[0] > 0.5 * board.square_mm
-        expected = fitted(moved[new])
-        size = np.linalg.norm(fitted(moved[new] + (0.25 * period, 0)) - expected, axis=1)
-        is_there = tree.query(expected)[0] < size
-        if is_there.mean() >= 0.5:
-            return int(is_there.sum())
-    return 0
+    for _ in range(_MOST_GROWTH):
+        near = {(x + dx, y + dy) for x, y in known for dx, dy in steps} - known.keys()
+        # far from what is known a polynomial runs wild
+        fitted = BoardMap.fit(np.array([*known], float), np.array([*known.values()]), most_degree=0)
+        if fitted is None or not near:
+            break
+        places = np.array([*near], float)
+        along_x, along_y, _, _ = fitted.axes(places, 1.0)
+        size = np.minimum(np.linalg.norm(along_x, axis=1), np.linalg.norm(along_y, axis=1))
+        distance, which = tree.query(fitted(places))
+        is_there = distance < _NEAR_PLACE * size
+        lines = _lines_that_go_on([*near], is_there, known)
+        if not lines:
+            break
+        known |= {p: blobs[w, :2] for p, w, there in zip(near, which, is_there, strict=True)
+                  if there and p in lines}  # fmt: skip
+    x, y = np.array([*known]).T
+    columns = int(np.ptp(x)) + 1
+    return (columns + 1) // 2 if board.asymmetric else columns, int(np.ptp(y)) + 1
+
+
+def _lines_that_go_on(
+    near: list[Place], is_there: NDArray[np.bool_], known: Mapping[Place, Floats]
+) -> set[Place]:
+    """Of places beside a grid those in rows or columns of which half the dots are there."""
+    x, y = np.array([*known]).T
+    found: set[Place] = set()
+    for axis, values in ((0, (x.min() - 1, x.max() + 1)), (1, (y.min() - 1, y.max() + 1))):
+        for value in values:
+            line = [i for i, place in enumerate(near) if place[axis] == value]
+            if line and is_there[line].mean() >= _LEAST_LINE:
+                found |= {near[i] for i in line}
+    return found
+
+
+def _not_asked(board: Board, columns: int, rows: int, asymmetric: bool) -> str:
+    """What to say of a grid of dots that is not the board's."""
+    kinds = (":asymmetric" * asymmetric, ":asymmetric" * board.asymmetric)
+    if kinds[0] == kinds[1]:
+        kinds = ("", "")
+    return (
+        f"wrong size: the picture shows {columns}x{rows}{kinds[0]} dots, "
+        f"not {board.columns}x{board.rows}{kinds[1]}"
+    )
+
+
+def _grid_of_all(blobs: Floats) -> tuple[int, int, bool] | None:
+    """Columns, rows and shift of the one grid that all dots of the picture make, if they do."""
+    dots = _like_most(blobs)
+    n = len(dots)
+    if not 4 <= n <= _MOST_COUNTED:
+        return None
+    places = dots[:, None, :2].astype(np.float32)
+    parameters = cv2.CirclesGridFinderParameters()
+    for columns in range(2, n // 2 + 1):
+        if n % columns:
+            continue
+        for asymmetric in (False, True):
+            if not asymmetric and columns < n // columns:
+                continue  # the same grid, turned
+            layout = cv2.CALIB_CB_ASYMMETRIC_GRID if asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
+            for how in (0, cv2.CALIB_CB_CLUSTERING):
+                asked = columns, n // columns
+                found, centres = cv2.findCirclesGrid(places, asked, layout | how, None, parameters)
+                ideal = _lattice(*asked, asymmetric)
+                if (
+                    found
+                    and put_in_order(ideal, centres.reshape(-1, 2).astype(float), 1.0)[0]
+                    is not None
+                ):
+                    return (*asked, asymmetric)
+    return None
 
 
 def _not_found(image: Image, board: Board, blobs: Floats) -> NotSeen:
     if float(image.std()) < 4.0:
         return NotSeen("no board: the picture is even all over, too dark or too bright")
     total = board.columns * board.rows
-    n = _alike(blobs)
+    n = len(_like_most(blobs))
     if n < max(4, total // 4):
         return NotSeen("no board was found")
     h, w = image.shape
-    low, high = blobs[:, :2].min(axis=0), blobs[:, :2].max(axis=0)
-    step = float(np.median(cKDTree(blobs[:, :2]).query(blobs[:, :2], k=2)[0][:, 1]))
-    at_rim = (low < step).any() or (high > np.array([w, h]) - step).any()
+    dots = _like_most(blobs)[:, :2]
+    step = float(np.median(cKDTree(dots).query(dots, k=2)[0][:, 1]))
+    at_rim = (dots < step).any() or (dots > np.array([w, h]) - step).any()
+    whole = _grid_of_all(blobs)
+    if whole is not None and not (at_rim and n < total):
+        return NotSeen(_not_asked(board, *whole))
     if n < total:
-        cause = "cut off" if at_rim else "another board, or something covers it"
-        return NotSeen(f"{n} dots of {total} are seen: {cause}")
+        cause = "cut off, or another board" if at_rim else "another board, or something covers it"
+        size = "" if whole is None else f" ({whole[0]}x{whole[1]})"
+        return NotSeen(f"{n} dots of {total} are seen{size}: {cause}")
     return NotSeen(
         f"{n} dots are seen, but not in the {board.columns}x{board.rows} order of this board: "
         "check columns, rows and :asymmetric"
     )
 
 
-def _alike(blobs: Floats) -> int:
-    """How many blobs have about the size that most have."""
+def _like_most(blobs: Floats) -> Floats:
+    """The blobs of about the size that most have, (M', 3)."""
     if not len(blobs):
-        return 0
+        return blobs
     size = blobs[:, 2]
-    return int(max(((size > 0.6 * s) & (size < 1.6 * s)).sum() for s in size))
+    alike = [(size > 0.6 * s) & (size < 1.6 * s) for s in size]
+    return np.asarray(blobs[max(alike, key=np.count_nonzero)])
 
 
 def _measured(image: Image, board: Board, start: Floats, notes: list[str]) -> Sighting | NotSeen:

@@ -13,10 +13,11 @@ from ..core.arrays import readonly
 from ..core.camera import Camera
 from ..core.errors import InputError
 from ..core.rigid import Rigid
-from .bundle import Bundle, BundleCamera, BundleData, covariance_of, solve_bundle
+from .bundle import Bundle, BundleCamera, BundleData, root_of, solve_bundle
 from .pose import is_collinear
-from .projection import OPENCV, camera_of, selection
+from .projection import OPENCV, camera_of, intrinsics_of, project_one, selection
 from .tsai import Parameter
+from .view_noise import covariance_by_view
 
 Floats = NDArray[np.float64]
 MIN_CORNERS = 6
@@ -31,12 +32,16 @@ LENS_MODELS: dict[str, tuple[str, ...]] = {
     "opencv8": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
 }
 _FOLDS = 5
-#: A richer model is taken if it predicts left-out views better by this share.
-_BETTER = 0.01
+#: A richer model is taken if it predicts left-out views better by this share, or by this many
+#: standard errors of what it gains from view to view: a term that is missing, however small its
+#: part of the residuals, may bias the rest by far more than their stated deviations.
+_BETTER, _BETTER_SE = 0.01, 2.0
 #: A view is thrown out if its residual is this many times the others' and above this, px.
 _WORSE_TIMES, _WORSE_PX = 4.0, 1.0
 _ALIKE_DEG = 4.0
-_WEAK_SHARE = 0.02
+_WEAK_SHARE, _USELESS_SHARE = 0.02, 0.25
+#: Of the picture's longer side: no lens sees less than about 1°, nor a fisheye fits below.
+_FOCAL_RANGE = (0.1, 50.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +97,8 @@ class LensCalibration:
     rms_px, rms_used_px : float
         Over all points given, and over those used.
     held_out_px : mapping from model to float
-        RMS of views that were left out, predicted from the others; empty if the model was given.
+        RMS of views that were left out, predicted from the others: infinite where the model folds
+        back before a view. Empty if the model was given.
     bow_mm : float
         How far the board's middle stands out from its rim; 0 if it was taken as flat.
     warnings : tuple of str
@@ -159,16 +165,36 @@ def calibrate_board(
         )
     start = _start(usable, image_size)
     first = _fit(usable, image_size, "opencv4" if len(usable) > 2 else "none", start)
+    _check_focal(first, image_size)
     usable, bad = _without_bad_views(usable, image_size, first, start)
     rejected += bad
     scores: dict[str, float] = {}
     if model is None:
-        scores = _held_out(usable, image_size, start)
-        model = _choice(scores) if scores else _few_views_model(len(usable))
+        squares = _held_out(usable, image_size, start)
+        model = _choice(squares) if squares else _few_views_model(len(usable))
+        n_points = sum(len(v.points) for v in usable)
+        scores = {m: float(np.sqrt(s.sum() / n_points)) for m, s in squares.items()}
     bow = _bow(usable, image_size, model, start) if estimate_bow else 0.0
     fit = _fit(_bowed(usable, bow), image_size, model, start)
+    _check_focal(fit, image_size)
     return _calibration(
         given, tuple(usable), image_size, model, fit, tuple(rejected), scores, bow, sd_px
+    )
+
+
+def _check_focal(fit: Bundle, image_size: tuple[int, int]) -> None:
+    """Refuse a focal length that ran away: nothing in the views holds it."""
+    found = fit.cameras[0].intrinsics[:2]
+    low, high = (share * max(image_size) for share in _FOCAL_RANGE)
+    if not ((found > low) & (found < high)).all():
+        raise _no_focal("it runs away")
+
+
+def _no_focal(why: str) -> InputError:
+    return InputError(
+        f"the views do not tell focal length from distance ({why}): a board flat before the "
+        "camera looks the same from near and from far; tilt it by 30° and more, in several "
+        "directions"
     )
 
 
@@ -203,9 +229,19 @@ def _start(views: Sequence[BoardView], image_size: tuple[int, int]) -> Camera:
 
 
 def board_pose(view: BoardView, camera: Camera) -> tuple[Floats, Floats]:
-    """Camera from board, (3, 3) and (3,) mm, for a known lens."""
+    """Camera from board, (3, 3) and (3,) mm, for a known lens.
+
+    Raises
+    ------
+    InputError
+        If the lens reaches fewer than 4 of the view's corners: its distortion folds before them.
+    """
     ideal = camera.undistort(view.pixels)
     known = np.isfinite(ideal).all(axis=1)
+    if known.sum() < 4:
+        raise InputError(
+            f"view {view.name}: the lens's distortion folds back before it reaches the corners"
+        )
     flat = view.points[known] * (1, 1, 0)
     _, turn, shift = cv2.solvePnP(flat, ideal[known], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     return cv2.Rodrigues(turn)[0], shift.ravel()
@@ -279,36 +315,46 @@ def _without_bad_views(
 
 def _held_out(
     views: Sequence[BoardView], image_size: tuple[int, int], start: Camera
-) -> dict[str, float]:
-    """RMS of views left out of the fit, once only their pose is fitted; NaN where it failed."""
+) -> dict[str, Floats]:
+    """Squares of residuals of each view (V,), left out of the fit but for its pose, by model."""
     if len(views) < 4:
         return {}
     folds = min(_FOLDS, len(views))
     found = {}
     for model in LENS_MODELS:
-        squares, count = 0.0, 0
+        squares = np.zeros(len(views))
         for fold in range(folds):
             kept = [v for i, v in enumerate(views) if i % folds != fold]
             left = [v for i, v in enumerate(views) if i % folds == fold]
-            fit = _fit(kept, image_size, model, start)
-            camera = _camera(fit, image_size)
-            row = fit.cameras[0].intrinsics
-            fixed = BundleCamera(
-                row, OPENCV, np.zeros((16, 0)), np.eye(3), np.zeros(3), pose_is_free=False
-            )
-            poses = [board_pose(v, camera) for v in left]
-            R, t = np.stack([p[0] for p in poses]), np.stack([p[1] for p in poses])
-            residuals = solve_bundle([fixed], R, t, _data(left)).residuals
-            squares += float((residuals**2).sum())
-            count += len(residuals)
-        found[model] = float(np.sqrt(squares / count))
+            squares[fold::folds] = _predicted(left, _fit(kept, image_size, model, start))
+        found[model] = squares
     return found
 
 
-def _choice(scores: dict[str, float]) -> str:
-    """The plainest model that is within a per cent of the best."""
-    best = min(scores.values())
-    return next(m for m, s in scores.items() if s <= best * (1 + _BETTER))
+def _predicted(left: Sequence[BoardView], fit: Bundle) -> list[float]:
+    """Squares of the residuals of views that a fit has not seen, but for their poses."""
+    row = fit.cameras[0].intrinsics
+    fixed = BundleCamera(row, OPENCV, np.zeros((16, 0)), np.eye(3), np.zeros(3), False)
+    try:
+        poses = [board_pose(v, _camera(fit, (1, 1))) for v in left]
+    except InputError:  # the model bends where it has not seen points: no prediction at all
+        return [np.inf] * len(left)
+    R, t = np.stack([p[0] for p in poses]), np.stack([p[1] for p in poses])
+    residuals = _per_view(solve_bundle([fixed], R, t, _data(left)))
+    return [float((r**2).sum()) for r in residuals]
+
+
+def _choice(squares: dict[str, Floats]) -> str:
+    """The plainest model that predicts as well as the best, as far as can be told."""
+    best = min(squares.values(), key=lambda s: float(s.sum()))
+    for model, s in squares.items():
+        if not np.isfinite(s).all():
+            continue
+        worse = s - best
+        error = float(worse.std(ddof=1)) * np.sqrt(len(worse))
+        if worse.sum() <= min(_BETTER_SE * error, ((1 + _BETTER) ** 2 - 1) * best.sum()):
+            return model
+    raise AssertionError("the best is as good as the best")
 
 
 def _bowed(views: Sequence[BoardView], bow_mm: float) -> list[BoardView]:
@@ -355,7 +401,7 @@ def _calibration(
     camera = _camera(fit, image_size)
     freedom = 2 * len(fit.residuals) - fit.n_parameters
     sd = sd_px if sd_px is not None else float(np.sqrt(fit.cost / max(freedom, 1)))
-    covariance = covariance_of(fit.information) * sd**2
+    covariance = covariance_by_view(fit) * sd**2
     names = [*_PINHOLE, *LENS_MODELS[model]] if len(used) > 1 else ["f", *LENS_MODELS[model][:1]]
     row = dict(zip(("fx", "fy", "cx", "cy"), fit.cameras[0].intrinsics[:4], strict=True))
     row |= {n: fit.cameras[0].intrinsics[4 + i] for i, n in enumerate(
@@ -365,6 +411,9 @@ def _calibration(
         Parameter(n, float(row[n]), float(np.sqrt(max(c, 0))), "px" if n[0] in "fc" else "")
         for n, c in zip(names, np.diag(covariance), strict=True)
     )
+    for p in parameters:
+        if p.name in ("f", "fx", "fy") and not p.sd < _USELESS_SHARE * p.value:
+            raise _no_focal(f"{p.name} {p.value:.3g} px with a standard deviation of {p.sd:.3g}")
     poses = tuple(
         Rigid.from_rotation(R, t)
         for R, t in zip(fit.target_rotation, fit.target_translation, strict=True)
@@ -427,40 +476,79 @@ def coverage(views: Sequence[BoardView], image_size: tuple[int, int], cells: int
     return len({(int(x), int(y)) for x, y in at}) / cells**2
 
 
-def point_sd_mm(found: LensCalibration, pixels: ArrayLike, distance_mm: float) -> Floats:
+def point_sd_mm(
+    found: LensCalibration, pixels: ArrayLike, distance_mm: float, *, gauge: str = "rotation"
+) -> Floats:
     """What the lens's uncertainty amounts to at a distance, across the line of sight, mm.
 
-    First order; a shift that every point shares is left in, since a rig's poses cannot undo it
-    for all distances.
+    First order.
 
     Parameters
     ----------
     pixels : (..., 2) float, px
     distance_mm : float
         Depth before the camera.
+    gauge : str
+        ``"rotation"``: a turn of the camera that all its rays share is taken off, by least squares
+        over the picture. Whoever finds the camera's pose with this lens turns it just so: a shift
+        of the centre is harmless. ``"none"``: it is left in, as for a camera whose axes are known
+        from elsewhere.
 
     Returns
     -------
     (...) float64, mm
         Root mean square of the two directions.
-    """
-    from .projection import project_one
 
+    Raises
+    ------
+    ValueError
+        If there is no such gauge.
+    """
+    if gauge not in ("rotation", "none"):
+        raise ValueError(f"gauge must be rotation or none, not {gauge}")
     xy = found.camera.undistort(pixels)
     flat = xy.reshape(-1, 2)
+    moved = _ray_errors(found, flat)
+    if gauge == "rotation":
+        everywhere = _picture_grid(found.camera)
+        errors = _ray_errors(found, everywhere)
+        known = np.isfinite(errors).all(axis=(1, 2))
+        turns = _under_rotation(everywhere[known]).reshape(-1, 3)
+        fitted = np.linalg.lstsq(turns, errors[known].reshape(len(turns), -1), rcond=None)[0]
+        moved = moved - _under_rotation(flat) @ fitted
+    sd = np.sqrt((moved**2).sum(axis=(1, 2)) / 2) * distance_mm
+    return np.asarray(sd.reshape(xy.shape[:-1]))
+
+
+def _ray_errors(found: LensCalibration, xy: Floats) -> Floats:
+    """How the ideal coordinates (N, 2) of fixed pixels change, (N, 2, P): errors = it @ z.
+
+    z are independent standard normal numbers; NaN where the lens cannot be inverted.
+    """
     names = [p.name for p in found.parameters]
     moves = {n: ({"fx": 1.0, "fy": 1.0} if n == "f" else {n: 1.0}) for n in names}
     _, matrix = selection(moves)
-    row = np.zeros(16)
-    K, d = found.camera.matrix, found.camera.distortion
-    row[:4] = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    row[4 : 4 + len(d)] = d
+    root = matrix @ root_of(found.covariance)
+    row, model = intrinsics_of(found.camera)
     at, J_row, J_point = np.zeros(2), np.zeros((2, 16)), np.zeros((2, 3))
-    sd = np.full(len(flat), np.nan)
-    for i, (x, y) in enumerate(flat):
-        if np.isfinite(x) and project_one(row, OPENCV, x, y, 1.0, at, J_row, J_point):
-            J = J_row @ matrix
-            mm = np.linalg.inv(J_point[:, :2]) * distance_mm  # mm of sideways shift per px
-            C = mm @ J @ found.covariance @ J.T @ mm.T
-            sd[i] = np.sqrt(max(np.trace(C) / 2, 0.0))
-    return sd.reshape(xy.shape[:-1])
+    errors = np.full((len(xy), 2, len(names)), np.nan)
+    for i, (x, y) in enumerate(xy):
+        if np.isfinite(x) and project_one(row, model, x, y, 1.0, at, J_row, J_point):
+            errors[i] = -np.linalg.solve(J_point[:, :2], J_row @ root)
+    return errors
+
+
+def _picture_grid(camera: Camera) -> Floats:
+    """Ideal coordinates (N, 2) of places all over the picture."""
+    w, h = camera.image_size
+    x, y = np.meshgrid((np.arange(16) + 0.5) / 16 * w, (np.arange(12) + 0.5) / 12 * h)
+    return camera.undistort(np.stack([x.ravel(), y.ravel()], axis=1) - 0.5)
+
+
+def _under_rotation(xy: Floats) -> Floats:
+    """How ideal coordinates (N, 2) change with a small rotation of the camera, (N, 2, 3)."""
+    x, y = xy.T
+    # p = (x, y, 1) + δ × (x, y, 1), divided by its depth
+    by_x = np.stack([-x * y, 1 + x * x, -y], axis=1)
+    by_y = np.stack([-1 - y * y, x * y, x], axis=1)
+    return np.stack([by_x, by_y], axis=1)

@@ -13,14 +13,15 @@ from ..core.camera import Camera
 from ..core.errors import InputError
 from ..core.rig import Rig
 from ..core.rigid import Rigid
-from .bundle import Bundle, BundleCamera, BundleData, covariance_of, solve_bundle
-from .lens import LENS_MODELS, BoardView, RejectedView, board_pose, unusable
+from .bundle import Bundle, BundleCamera, BundleData, solve_bundle
+from .lens import LENS_MODELS, BoardView, RejectedView
 from .projection import camera_of, intrinsics_of, selection
+from .rig_start import Key, Pose, chain, single_poses, view_poses, views_by_key
+from .view_noise import covariance_by_view
 
 Floats = NDArray[np.float64]
 _PINHOLE = ("fx", "fy", "cx", "cy")
 _WORSE_TIMES, _WORSE_PX = 5.0, 1.5
-_MIN_SHARED = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,11 +32,11 @@ class RigCalibration:
     ----------
     rig : Rig
         The cameras that are connected; the world frame is as asked.
-    covariance : mapping from camera to (6, 6) float64
-        Of δrotation (rad, R = exp(δ) R_found) and centre (mm, world frame), against the first
-        camera, which is held; zero for it.
     parameters : mapping from camera to names of estimated intrinsics
-    intrinsics_covariance : mapping from camera to (K, K) float64
+    joint_covariance : (S, S) float64
+        Of everything that was estimated, with all cross terms. Camera by camera, in the order of
+        `rig`: its `parameters`, then δrotation (rad, R = exp(δ) R_found) and centre (mm, world
+        frame): `columns` tells where. The first camera is held: its six are zero.
     view_poses : mapping from view to Rigid
         World from target.
     residuals : mapping from (camera, view) to (N, 2) float64, px
@@ -49,9 +50,8 @@ class RigCalibration:
     """
 
     rig: Rig
-    covariance: Mapping[str, Floats]
     parameters: Mapping[str, tuple[str, ...]]
-    intrinsics_covariance: Mapping[str, Floats]
+    joint_covariance: Floats
     view_poses: Mapping[str, Rigid]
     residuals: Mapping[tuple[str, str], Floats]
     views_rejected: tuple[RejectedView, ...]
@@ -60,6 +60,33 @@ class RigCalibration:
     rms_px: float
     rms_used_px: float
     warnings: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        size = sum(len(self.parameters[n]) + 6 for n in self.rig)
+        fixed = readonly(self.joint_covariance, (size, size), "joint_covariance")
+        object.__setattr__(self, "joint_covariance", fixed)
+
+    def columns(self, camera: str) -> tuple[slice, slice]:
+        """Where a camera's intrinsics, and its δrotation and centre, stand in the covariance."""
+        start = 0
+        for name in self.rig:
+            middle = start + len(self.parameters[name])
+            if name == camera:
+                return slice(start, middle), slice(middle, middle + 6)
+            start = middle + 6
+        raise KeyError(camera)
+
+    @property
+    def covariance(self) -> dict[str, Floats]:
+        """Of each camera's δrotation (rad) and centre (mm, world frame), (6, 6)."""
+        outer = {n: self.columns(n)[1] for n in self.rig}
+        return {n: self.joint_covariance[at, at] for n, at in outer.items()}
+
+    @property
+    def intrinsics_covariance(self) -> dict[str, Floats]:
+        """Of each camera's estimated intrinsics, (K, K)."""
+        inner = {n: self.columns(n)[0] for n in self.rig}
+        return {n: self.joint_covariance[at, at] for n, at in inner.items()}
 
     @property
     def intrinsics_sd(self) -> dict[str, Floats]:
@@ -103,16 +130,18 @@ def calibrate_rig(
     """
     refine = refine or {}
     _check(views, lenses, refine)
-    single = _single_poses(views, lenses)
+    single = single_poses(views, lenses)
     names = [n for n in views if any(camera == n for camera, _ in single)]
     if len(names) < 2:
         raise InputError("fewer than two cameras see the target")
-    poses = _chain(names, single)
+    poses = chain(names, single)
     unconnected = tuple(n for n in views if n not in poses)
     if len(poses) < 2:
         raise InputError(f"{names[0]} shares no view with any other camera")
-    kept = {key: view for key, view in _by_key(views).items() if key[0] in poses and key in single}
-    start = _view_poses(kept, single, poses)
+    kept = {
+        key: view for key, view in views_by_key(views).items() if key[0] in poses and key in single
+    }
+    start = view_poses(kept, single, poses)
     fit, order = _solve(kept, lenses, refine, poses, start, robust=True)
     kept, rejected = _consistent(kept, fit, order)
     robust_poses = _poses_of(fit, order[0])
@@ -142,94 +171,6 @@ def _check(
             raise InputError(f"{name} has Tsai's distortion, which a rig does not refine")
 
 
-Key = tuple[str, str]
-
-
-def _by_key(views: Mapping[str, Sequence[BoardView]]) -> dict[Key, BoardView]:
-    return {(camera, v.name): v for camera, seen in views.items() for v in seen}
-
-
-def _single_poses(
-    views: Mapping[str, Sequence[BoardView]], lenses: Mapping[str, Camera]
-) -> dict[Key, tuple[Floats, Floats]]:
-    """Camera from target, from each view alone."""
-    found = {}
-    for (camera, name), view in _by_key(views).items():
-        if not unusable(view):
-            found[camera, name] = _target_pose(view, lenses[camera])
-    return found
-
-
-def _target_pose(view: BoardView, lens: Camera) -> tuple[Floats, Floats]:
-    import cv2
-
-    if np.ptp(view.points[:, 2]) <= 1e-3 * np.ptp(view.points[:, :2]):
-        return board_pose(view, lens)
-    _, turn, shift = cv2.solvePnP(
-        view.points, lens.undistort(view.pixels), np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
-    )
-    return cv2.Rodrigues(turn)[0], shift.ravel()
-
-
-def _chain(
-    names: Sequence[str], single: Mapping[Key, tuple[Floats, Floats]]
-) -> dict[str, tuple[Floats, Floats]]:
-    """Camera from first camera, along a spanning tree of the pairs with most shared views."""
-    seen_by: dict[str, set[str]] = {n: set() for n in names}
-    for camera, view in single:
-        seen_by[camera].add(view)
-    first = names[0]
-    found: dict[str, tuple[Floats, Floats]] = {first: (np.eye(3), np.zeros(3))}
-    while True:
-        pairs = [
-            (len(seen_by[a] & seen_by[b]), a, b)
-            for a in found
-            for b in names
-            if b not in found and len(seen_by[a] & seen_by[b]) >= _MIN_SHARED
-        ]
-        if not pairs:
-            return found
-        _, a, b = max(pairs, key=lambda p: p[0])
-        R, t = _relative(a, b, sorted(seen_by[a] & seen_by[b]), single)
-        Ra, ta = found[a]
-        found[b] = R @ Ra, R @ ta + t
-
-
-def _relative(
-    a: str, b: str, shared: Sequence[str], single: Mapping[Key, tuple[Floats, Floats]]
-) -> tuple[Floats, Floats]:
-    """b from a: the view's pose under which most of the others agree (a median of poses)."""
-    candidates = []
-    for view in shared:
-        (Ra, ta), (Rb, tb) = single[a, view], single[b, view]
-        R = Rb @ Ra.T
-        candidates.append((R, tb - R @ ta))
-    turns = np.stack([c[0] for c in candidates])
-    shifts = np.stack([c[1] for c in candidates])
-    cosine = (np.einsum("aij,bij->ab", turns, turns) - 1) / 2
-    angle = np.arccos(np.clip(cosine, -1, 1))
-    apart = np.linalg.norm(shifts[:, None] - shifts[None], axis=2)
-    size = max(float(np.median(np.linalg.norm(shifts, axis=1))), 1e-9)
-    best = int(np.argmin(np.median(angle + apart / size, axis=1)))
-    return candidates[best]
-
-
-def _view_poses(
-    kept: Mapping[Key, BoardView],
-    single: Mapping[Key, tuple[Floats, Floats]],
-    poses: Mapping[str, tuple[Floats, Floats]],
-) -> dict[str, tuple[Floats, Floats]]:
-    """First camera from target, by the camera that sees most of it."""
-    best: dict[str, tuple[int, tuple[Floats, Floats]]] = {}
-    for (camera, view), seen in kept.items():
-        R, t = poses[camera]
-        Rv, tv = single[camera, view]
-        placed = R.T @ Rv, R.T @ (tv - t)
-        if view not in best or len(seen.points) > best[view][0]:
-            best[view] = len(seen.points), placed
-    return {view: pose for view, (_, pose) in best.items()}
-
-
 Order = tuple[list[str], list[str], list[Key]]
 
 
@@ -237,8 +178,8 @@ def _solve(
     kept: Mapping[Key, BoardView],
     lenses: Mapping[str, Camera],
     refine: Mapping[str, str],
-    poses: Mapping[str, tuple[Floats, Floats]],
-    targets: Mapping[str, tuple[Floats, Floats]],
+    poses: Mapping[str, Pose],
+    targets: Mapping[str, Pose],
     *,
     robust: bool,
 ) -> tuple[Bundle, Order]:
@@ -265,12 +206,12 @@ def _solve(
     return solve_bundle(bundle_cameras, R, t, data, robust=robust), (cameras, views, keys)
 
 
-def _poses_of(fit: Bundle, cameras: Sequence[str]) -> dict[str, tuple[Floats, Floats]]:
+def _poses_of(fit: Bundle, cameras: Sequence[str]) -> dict[str, Pose]:
     pairs = zip(cameras, fit.cameras, strict=True)
     return {n: (c.rotation, c.translation) for n, c in pairs}
 
 
-def _targets_of(fit: Bundle, views: Sequence[str]) -> dict[str, tuple[Floats, Floats]]:
+def _targets_of(fit: Bundle, views: Sequence[str]) -> dict[str, Pose]:
     return {v: (fit.target_rotation[i], fit.target_translation[i]) for i, v in enumerate(views)}
 
 
@@ -320,27 +261,21 @@ def _calibration(
     sd_px: float | None,
 ) -> RigCalibration:
     cameras, view_names, keys = order
-    kept = {k: v for k, v in _by_key(views).items() if k in set(keys)}
+    kept = {k: v for k, v in views_by_key(views).items() if k in set(keys)}
     residuals = _split(fit, keys, kept)
     freedom = 2 * len(fit.residuals) - fit.n_parameters
     sd = sd_px if sd_px is not None else float(np.sqrt(fit.cost / max(freedom, 1)))
-    covariance = covariance_of(fit.information) * sd**2
     from_first = _world_from_first(world, fit, view_names)
-    placed, spread, names, intrinsics_covariance = {}, {}, {}, {}
+    placed, names = {}, {}
     for i, name in enumerate(cameras):
         c = fit.cameras[i]
         pose = Rigid.from_rotation(c.rotation, c.translation) @ from_first.inverse()
         placed[name] = camera_of(c.intrinsics, c.model, lenses[name].image_size, pose)
-        inner, outer = fit.columns(i)
-        free = (*_PINHOLE, *LENS_MODELS[refine[name]]) if name in refine else ()
-        names[name] = free
-        intrinsics_covariance[name] = covariance[inner, inner]
-        spread[name] = _centre_covariance(c, covariance[outer, outer], from_first)
+        names[name] = (*_PINHOLE, *LENS_MODELS[refine[name]]) if name in refine else ()
     found = RigCalibration(
         Rig(placed),
-        spread,
         names,
-        intrinsics_covariance,
+        joint_covariance(fit, sd, from_first),
         {
             v: from_first @ Rigid.from_rotation(fit.target_rotation[i], fit.target_translation[i])
             for i, v in enumerate(view_names)
@@ -365,17 +300,40 @@ def _world_from_first(world: str, fit: Bundle, views: Sequence[str]) -> Rigid:
     return Rigid.from_rotation(fit.target_rotation[i], fit.target_translation[i]).inverse()
 
 
-def _centre_covariance(c: BundleCamera, covariance: Floats, from_first: Rigid) -> Floats:
+def joint_covariance(fit: Bundle, sd_px: float, world_from_first: Rigid) -> Floats:
+    """`RigCalibration.joint_covariance` of a solution; errors of one view may go together.
+
+    Parameters
+    ----------
+    fit : Bundle
+        In a frame of its own; cameras of fixed pose get zeros.
+    sd_px : float
+        Times the `sd_px` of the solution's data, the standard deviation of a coordinate.
+    world_from_first : Rigid
+        From the solution's frame to the world.
+    """
+    widths = [c.free.shape[1] for c in fit.cameras]
+    to_state = np.zeros((sum(widths) + 6 * len(widths), len(fit.information)))
+    row = 0
+    for i, (camera, width) in enumerate(zip(fit.cameras, widths, strict=True)):
+        inner, outer = fit.columns(i)
+        to_state[row : row + width, inner] = np.eye(width)
+        row += width
+        if camera.pose_is_free:
+            to_state[row : row + 6, outer] = _centre_from_shift(camera, world_from_first)
+        row += 6
+    return np.asarray(to_state @ covariance_by_view(fit) @ to_state.T * sd_px**2)
+
+
+def _centre_from_shift(c: BundleCamera, world_from_first: Rigid) -> Floats:
     """From (δrotation, translation) to (δrotation, centre in the world)."""
-    if not covariance.size:
-        return readonly(np.zeros((6, 6)), (6, 6), "covariance")
     # C = -R't; R -> exp(δ)R: dC = -R'(dt + t × δ) = -R'dt - R'[t]× δ
     t = c.translation
     cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
     D = np.eye(6)
     D[3:, :3], D[3:, 3:] = -c.rotation.T @ cross, -c.rotation.T
-    D[3:] = from_first.rotation @ D[3:]
-    return readonly(D @ covariance @ D.T, (6, 6), "covariance")
+    D[3:] = world_from_first.rotation @ D[3:]
+    return D
 
 
 def _rms_of_all(
@@ -388,7 +346,7 @@ def _rms_of_all(
 ) -> float:
     """Over all points given whose camera and view are placed, used or not."""
     total, count = 0.0, 0
-    for (camera, name), view in _by_key(views).items():
+    for (camera, name), view in views_by_key(views).items():
         if (camera, name) in residuals:
             off = residuals[camera, name]
         elif camera in placed and name in view_names:

@@ -7,22 +7,26 @@ The model of a clock is that of the files: a moment at ``t`` on the reference's 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft, optimize
+from scipy import fft
 
 from ..core.audio import Audio
 from ..core.errors import InputError
+from .clock_fit import ClockFit
 from .flashes import Flash, find_flash, find_flashes
+from .motion_clock import synchronise_motion
 
 __all__ = [
-    "ClockFit", "find_flash", "find_flashes", "synchronise_flash_light", "synchronise_flashes",
-    "synchronise_motion", "synchronise_sound",
+    "ClockFit", "Recording", "find_flash", "find_flashes", "synchronise",
+    "synchronise_flash_light", "synchronise_flashes", "synchronise_motion", "synchronise_sound",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
+#: Sound; or flashes; or times (T,) in s with signals (T, K) or the brightness of frames (T,).
+Recording = Audio | Flash | Sequence[Flash] | tuple[ArrayLike, ArrayLike]
+METHODS = ("sound", "motion", "flash", "light")
 _WINDOW_S = 2.0
 _RATE_HZ = 16_000
 _MIN_PEAK = 6.0  # of a piece's correlation, in standard deviations of its rest
@@ -33,36 +37,102 @@ _MAX_DRIFT = 1e-3
 _AGREE_S = 1.5e-3
 
 
-@dataclass(frozen=True)
-class ClockFit:
-    """How one recording's time runs against another's.
+def synchronise(
+    reference: Recording,
+    other: Recording,
+    *,
+    method: str | None = None,
+    max_offset_s: float | None = None,
+    exposure_s: float = 0.0,
+) -> ClockFit:
+    """How one recording's time runs against another's, from whatever both hold.
 
-    Attributes
+    Parameters
     ----------
-    offset_s : float, s
-        Time on the other's line of the reference's 0.
-    drift : float
-        1e-5 is 10 ppm: the other's clock counts that much more.
-    offset_sd_s : float, s
-        Standard deviation in the middle of what was compared.
-    drift_sd : float
-        Infinite where one moment only was compared.
-    n_used, n_given : int
-        Moments (pieces of sound, flashes) that agreed, and that were compared.
-    method : str
+    reference, other : Recording
+        Both of one kind: two `Audio`, two sequences of `Flash`, or two pairs of times (T,) in s
+        and signals. Signals (T, K) are a motion, brightness (T,) is one number a frame.
+    method : str, optional
+        ``"sound"`` (of `Audio`), ``"motion"`` (of signals), ``"flash"`` (when flashes began) or
+        ``"light"`` (how far they have died away: surer, where one flash lights all that both
+        see). By default sound for `Audio`, motion for signals (T, K), flash for the rest.
+    max_offset_s : float, s, optional
+        How far apart they may have started; by default 5 for a motion and 30 for the rest.
+    exposure_s : float, s
+        Of frames whose brightness is given.
+
+    Returns
+    -------
+    ClockFit
+
+    Raises
+    ------
+    InputError
+        If they tell no offset; the message says why.
+    ValueError
+        If the two are not of one kind, or not of a kind that the method takes.
+
+    See Also
+    --------
+    synchronise_sound, synchronise_motion, synchronise_by_flashes : with all their options.
     """
+    kinds = [_kind(x) for x in (reference, other)]
+    if kinds[0] != kinds[1]:
+        raise ValueError(f"both recordings must be of one kind, got {kinds[0]} and {kinds[1]}")
+    usual = {"sound": "sound", "signals": "motion"}.get(kinds[0], "flash")
+    chosen = usual if method is None else method
+    if chosen not in METHODS:
+        raise ValueError(f"method must be one of {', '.join(METHODS)}, not {chosen}")
+    takes = {"sound": ("sound",), "motion": ("signals", "brightness")}
+    if kinds[0] not in takes.get(chosen, ("flashes", "brightness")):
+        raise ValueError(f"{kinds[0]} cannot be synchronised by {chosen}")
+    most_s = max_offset_s if max_offset_s is not None else 5.0 if chosen == "motion" else 30.0
+    if isinstance(reference, Audio) and isinstance(other, Audio):
+        return synchronise_sound(reference, other, max_offset_s=most_s)
+    if chosen == "motion":
+        (ta, a), (tb, b) = _timed(reference), _timed(other)
+        return synchronise_motion(ta, a, tb, b, max_offset_s=most_s)
+    from .flash_match import synchronise_by_flashes  # which stands upon this module
 
-    offset_s: float
-    drift: float
-    offset_sd_s: float
-    drift_sd: float
-    n_used: int
-    n_given: int
-    method: str
+    seen = [_flashes(x, exposure_s) for x in (reference, other)]
+    return synchronise_by_flashes(*seen, max_offset_s=most_s, by_light=chosen == "light")
 
-    def other_s(self, reference_s: ArrayLike) -> Floats:
-        """Times on the other's line."""
-        return np.asarray(self.offset_s + (1 + self.drift) * np.asarray(reference_s, dtype=float))
+
+def _kind(recording: Recording) -> str:
+    if isinstance(recording, Audio):
+        return "sound"
+    if isinstance(recording, Flash):
+        return "flashes"
+    if len(recording) and all(isinstance(x, Flash) for x in recording):
+        return "flashes"
+    times, values = (np.asarray(x) for x in _timed(recording))
+    if times.ndim != 1 or values.ndim not in (1, 2) or len(values) != len(times):
+        raise ValueError(
+            "expected times (T,) and signals (T, K) or brightness (T,), "
+            f"got {times.shape} and {values.shape}"
+        )
+    return "signals" if values.ndim == 2 else "brightness"
+
+
+def _timed(recording: Recording) -> tuple[ArrayLike, ArrayLike]:
+    if isinstance(recording, tuple) and len(recording) == 2:
+        times, values = recording
+        if not isinstance(times, Flash) and not isinstance(values, Flash):
+            return times, values
+    raise ValueError(
+        "a recording is Audio, a Flash, a sequence of Flash, or a pair of times and signals"
+    )
+
+
+def _flashes(recording: Recording, exposure_s: float) -> tuple[Flash, ...]:
+    if isinstance(recording, Flash):
+        return (recording,)
+    if not isinstance(recording, Audio):
+        flashes = tuple(x for x in recording if isinstance(x, Flash))
+        if flashes:
+            return flashes
+    times, brightness = _timed(recording)
+    return find_flashes(times, brightness, exposure_s)
 
 
 def synchronise_sound(
@@ -212,87 +282,6 @@ def _weighted_line(times: Floats, lags: Floats, sd: Floats) -> ClockFit:
     return ClockFit(
         level - slope * middle, slope, float(1 / np.sqrt(w.sum())), float(slope_sd),
         len(times), len(times), "flash",
-    )  # fmt: skip
-
-
-def synchronise_motion(
-    reference_time_s: ArrayLike,
-    reference: ArrayLike,
-    other_time_s: ArrayLike,
-    other: ArrayLike,
-    *,
-    max_offset_s: float = 5.0,
-    estimate_drift: bool = False,
-) -> ClockFit:
-    """From the same motion seen by two cameras, as signals whose shape both share.
-
-    Parameters
-    ----------
-    reference_time_s, other_time_s : (T,), (U,) float, s
-    reference, other : (T, K), (U, L) float
-        Any measures of the motion, such as the coordinates of a board's corner in each picture.
-        Each of the other's is explained as a linear combination of the reference's (and 1) at
-        the offset that leaves least (canonical correlation): cameras need not be calibrated.
-    max_offset_s : float
-    estimate_drift : bool
-
-    Raises
-    ------
-    InputError
-        If nothing moves, or the two do not overlap.
-    """
-    ta, tb = (np.asarray(x, dtype=float) for x in (reference_time_s, other_time_s))
-    a = np.asarray(reference, dtype=float).reshape(len(ta), -1)
-    b = np.asarray(other, dtype=float).reshape(len(tb), -1)
-    known_a, known_b = np.isfinite(a).all(axis=1), np.isfinite(b).all(axis=1)
-    ta, a, tb, b = ta[known_a], a[known_a], tb[known_b], b[known_b]
-    if len(ta) < 8 or len(tb) < 8:
-        raise InputError("too few frames show the motion in both recordings")
-    if not (np.ptp(a, axis=0).max() > 0 and np.ptp(b, axis=0).max() > 0):
-        raise InputError("nothing moves: the recordings cannot be brought into step")
-    from scipy.interpolate import CubicSpline
-
-    curve = CubicSpline(ta, a, axis=0)
-    step = float(np.median(np.diff(ta)))
-
-    def left(offset: float, drift: float = 0.0) -> float:
-        at = (tb - offset) / (1 + drift)
-        inside = (at >= ta[0]) & (at <= ta[-1])
-        if inside.sum() < max(8, len(tb) // 4):
-            return float("inf")
-        basis = np.column_stack([curve(at[inside]), np.ones(int(inside.sum()))])
-        seen = b[inside]
-        residual = seen - basis @ np.linalg.lstsq(basis, seen, rcond=None)[0]
-        freedom = len(seen) - basis.shape[1]
-        whole = ((seen - seen.mean(axis=0)) ** 2).sum() / (len(seen) - 1)
-        return float((residual**2).sum() / max(freedom, 1) / max(whole, 1e-300))
-
-    offsets = np.arange(-max_offset_s, max_offset_s + step / 2, step / 2)
-    scores = np.array([left(o) for o in offsets])
-    if not np.isfinite(scores).any():
-        raise InputError("the recordings do not overlap within the largest offset")
-    centre = float(offsets[int(np.argmin(scores))])
-    fine = optimize.minimize_scalar(
-        left, bounds=(centre - step, centre + step), method="bounded", options={"xatol": 1e-6}
-    )
-    offset, drift, best = float(fine.x), 0.0, float(fine.fun)
-    if estimate_drift:
-        middle = float(tb.mean())
-        found = optimize.minimize(
-            lambda p: left(offset + p[0] * step - p[1] * 1e-5 * middle, p[1] * 1e-5),
-            [0.0, 0.0],
-            method="Nelder-Mead",
-            options={"xatol": 1e-4, "fatol": 1e-12},
-        )
-        drift = float(found.x[1]) * 1e-5
-        offset, best = offset + float(found.x[0]) * step - drift * middle, float(found.fun)
-    h = step / 20
-    curvature = (left(offset + h, drift) - 2 * best + left(offset - h, drift)) / h**2
-    freedom = max(len(tb) - a.shape[1] - 1, 1) * b.shape[1]
-    sd = np.sqrt(2 * best / max(curvature, 1e-300) / freedom) if curvature > 0 else float("nan")
-    return ClockFit(
-        offset, drift, float(sd), float("nan") if estimate_drift else float("inf"),
-        len(tb), len(tb), "motion",
     )  # fmt: skip
 
 

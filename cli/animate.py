@@ -11,6 +11,7 @@ import typer
 
 from ..core.errors import InputError
 from .faps import facts_of, run_faps
+from .heads import check_head, find_head
 from .options import (
     HeadOption,
     JsonOption,
@@ -19,15 +20,27 @@ from .options import (
     find_marker_set,
     find_rig,
     note,
+    parse_when,
     writable_folder,
 )
 from .progress import Ticks
 from .tables import print_table, write_json
-from .track import TrackResult, run_track
+from .track import (
+    DEFAULT_MAX_GAP_S,
+    ColourOption,
+    LevelOption,
+    MaxGapOption,
+    RateOption,
+    RefineOption,
+    RigOption,
+    TrackResult,
+    run_track,
+)
 
 if TYPE_CHECKING:
     from ..core.markers import MarkerSet
     from ..core.rig import Rig
+    from ..tracking.long_takes import LongSettings
     from ..tracking.performance import TrackedPerformance
 
 
@@ -44,12 +57,14 @@ def animate(
     videos: Annotated[
         list[Path], typer.Argument(metavar="VIDEO", help="One a camera, named after it.")
     ],
-    rig: Annotated[
-        Path | None,
-        typer.Option("--rig", metavar="rig.json", help="Default: rig.json beside the videos."),
-    ] = None,
+    rig: RigOption = None,
     markers: MarkersOption = None,
     neutral: NeutralOption = "0",
+    colour: ColourOption = None,
+    level: LevelOption = None,
+    rate: RateOption = None,
+    refine_rig: RefineOption = False,
+    max_gap: MaxGapOption = DEFAULT_MAX_GAP_S,
     head: HeadOption = "ruth",
     out: Annotated[
         Path | None,
@@ -61,9 +76,9 @@ def animate(
 
     Writes markers.c3d, performance.fap, head.glb, preview.mp4 and report.html.
     """
-    from ..heads.catalogue import built_in_identity
+    from ..tracking.long_takes import LongSettings
 
-    built_in_identity(head)  # a wrong name is said before the work
+    check_head(head)  # a wrong name is said before the work
     marker_set = find_marker_set(markers, videos[0].parent)
     if marker_set is None:
         raise InputError(
@@ -72,7 +87,12 @@ def animate(
         )
     cameras = find_rig(rig, videos)
     folder = writable_folder(out or videos[0].parent / "animation")
-    result = run_animate(videos, cameras, marker_set, folder, head=head, neutral=neutral)
+    frame, seconds = parse_when(neutral)
+    settings = LongSettings(
+        level=level, colour=colour, rate_hz=rate, refine_rig=refine_rig, max_gap_s=max_gap,
+        neutral_frame=frame, neutral_s=seconds,
+    )  # fmt: skip
+    result = run_animate(videos, cameras, marker_set, folder, settings, head=head, neutral=neutral)
     rows = [(k.replace("_", " "), v) for k, v in result.facts.items() if not isinstance(v, list)]
     print_table(("measured", "value"), [r for r in rows if not isinstance(r[1], dict)])
     note(f"wrote {folder}/ markers.c3d performance.fap head.glb preview.mp4 report.html")
@@ -85,6 +105,7 @@ def run_animate(
     rig: Rig,
     marker_set: MarkerSet,
     folder: Path,
+    settings: LongSettings,
     *,
     head: str,
     neutral: str = "0",
@@ -93,22 +114,22 @@ def run_animate(
     import tempfile
     import time
 
-    from ..core.formats.c3d import write_c3d
     from ..core.formats.fap import write_fap
     from ..core.formats.gltf import write_glb
-    from ..heads.catalogue import built_in_head
     from ..retarget.drive import HeadDrive
     from ..retarget.export import animation_glb
     from ..tracking.videos import match_videos_to_rig
     from .preview import choose_view, write_previews
     from .report import write_report
 
-    tracked = run_track(videos, rig, marker_set, neutral)
-    write_c3d(folder / "markers.c3d", tracked.trajectories)
-    performance = run_faps(tracked.trajectories, marker_set, neutral)
+    tracked = run_track(videos, rig, folder / "markers.c3d", marker_set, settings)
+    tracks = tracked.trajectories
+    assert tracks is not None
+    performance = run_faps(tracks, marker_set, neutral)
     write_fap(folder / "performance.fap", performance.faps)
     note("animating the head")
-    target = built_in_head(head)
+    target = find_head(head)
+    head = target.name
     animation = HeadDrive(target).animate(performance.faps)
     write_glb(folder / "head.glb", animation_glb(target, animation, name=head))
     facts = {
@@ -118,15 +139,15 @@ def run_animate(
     }
     rig, paths = match_videos_to_rig(videos, rig)
     forward = performance.neutral.rotation[:, 2]
-    view = choose_view(rig, paths, tracked.trajectories, forward)
-    n_preview = len(tracked.trajectories.time_s)
-    step = max(1, round((tracked.trajectories.rate_hz or 60.0) / 30.0))
+    view = choose_view(rig, paths, tracks, forward)
+    n_preview = len(tracks.time_s)
+    step = max(1, round((tracks.rate_hz or 60.0) / 30.0))
     with tempfile.TemporaryDirectory() as scratch:
         source = Path(scratch) / "source.mp4"
         start = time.perf_counter()
         with Ticks(-(-n_preview // step), "preview") as tick:
             n = write_previews(
-                folder / "preview.mp4", source, view, tracked.trajectories, animation, head,
+                folder / "preview.mp4", source, view, tracks, animation, head,
                 on_frame=tick,
             )  # fmt: skip
         facts["preview_frames_per_second"] = n / (time.perf_counter() - start)

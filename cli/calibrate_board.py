@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..core.errors import InputError
+from .camera_files import OUT_HELP, writable_cameras, write_cameras
 from .options import JsonOption, ReportOption, note, writable_file
 from .progress import Ticks, progress
 from .synth_board import BoardOption
@@ -55,7 +56,8 @@ def board(
         typer.Option(
             "--out",
             metavar="camera.json",
-            help="Default: camera.json beside the pictures, VIDEO.camera.json beside a video.",
+            help=f"{OUT_HELP} Default: camera.json beside the pictures, VIDEO.camera.json beside a "
+            "video.",
         ),
     ] = None,
     report: ReportOption = None,
@@ -63,7 +65,6 @@ def board(
 ) -> None:
     """A camera's lens from views of a board, and how sure it is in mm."""
     from ..core.boards import parse_board
-    from ..core.formats.rig_json import write_rig
     from ..core.rig import Rig
     from .calibration_report import show_tables, write_calibration_report
     from .tables import write_json
@@ -71,21 +72,21 @@ def board(
     pattern = parse_board(board)
     check_model(model)
     pictures, video = sort_inputs(inputs)
-    out = writable_file(out or _default_out(pictures, video), (".json",))
-    if report is not None:
-        writable_file(report, (".html",))
+    out = writable_cameras(out or _default_out(pictures, video))
+    for path, suffixes in ((report, (".html",)), (json_file, ())):
+        if path is not None:
+            writable_file(path, suffixes)
     size, detections = _detect(pictures, video, pattern, max_views)
     found = lens_of(detections, size, pattern, model=model, bow=bow)
     shown = board_report(found, distance)
     name = video.stem if video is not None else out.stem
-    write_rig(out, Rig({name: found.camera}))
     show_tables(shown)
-    note(f"wrote {out}")
     if report is not None:
         picture = write_calibration_report(report, shown)
         note(f"wrote {report} and {picture.name}")
     if json_file is not None:
         write_json(json_file, board_json(found, distance))
+    write_cameras(out, Rig({name: found.camera}))
 
 
 def check_model(model: str | None) -> None:
@@ -166,7 +167,7 @@ def lens_of(
     InputError
         If no picture shows the board, or the views do not tell the focal length.
     """
-    from ..capture.calibration_take import without_repeats
+    from ..capture.board_views import without_repeats
     from ..capture.lens import RejectedView, calibrate_board
 
     views = [d.view for d in detections if d.view is not None]

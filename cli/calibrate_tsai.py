@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..core.errors import InputError
+from .camera_files import OUT_HELP, writable_cameras, write_cameras
 from .options import JsonOption, ReportOption, note, writable_file
 
 if TYPE_CHECKING:
@@ -47,7 +48,9 @@ def tsai(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="camera.json", help="Default: POINTS.camera.json."),
+        typer.Option(
+            "--out", metavar="camera.json", help=f"{OUT_HELP} Default: POINTS.camera.json."
+        ),
     ] = None,
     report: ReportOption = None,
     json_file: JsonOption = None,
@@ -61,26 +64,25 @@ def tsai(
     if sd is not None and not sd > 0:
         raise typer.BadParameter("expected a standard deviation above 0", param_hint="--sd")
     from ..core.formats.points_csv import read_points
-    from ..core.formats.rig_json import write_rig
     from ..core.rig import Rig
     from .calibration_report import show_tables, write_calibration_report
     from .tables import write_json
 
-    out = writable_file(out or points.with_suffix(".camera.json"), (".json",))
-    if report is not None:
-        writable_file(report, (".html",))
+    out = writable_cameras(out or points.with_suffix(".camera.json"))
+    for path, suffixes in ((report, (".html",)), (json_file, ())):
+        if path is not None:
+            writable_file(path, suffixes)
     given = read_points(points)
     known, size = _known(camera, image_size)
     found = _calibrate(given, size, known, fixed, sd)
     shown = tsai_report(points.name, given, found)
-    write_rig(out, Rig({points.stem: found.camera}))
     show_tables(shown)
-    note(f"wrote {out}")
     if report is not None:
         picture = write_calibration_report(report, shown)
         note(f"wrote {report} and {picture.name}")
     if json_file is not None:
         write_json(json_file, tsai_json(points.name, given, found))
+    write_cameras(out, Rig({points.stem: found.camera}))
 
 
 def _fixed(fix: str, sx: bool) -> set[str]:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.rig import Rig
 from ..core.rigid import Rigid
-from .drawing import ACCENT, ALARM, FAINT, INK, SERIES, Drawing
+from .drawing import ACCENT, ALARM, FAINT, INK, PAPER, SERIES, Drawing
+
+if TYPE_CHECKING:
+    from ..capture.rig_face import PlaneUncertainty
 
 Floats = NDArray[np.float64]
 _WIDTH = 620.0
@@ -88,28 +92,91 @@ def uncertainty_map(
         Says of what it is the uncertainty.
     """
     frame = _Frame(title, image_size)
-    rows, columns = mm.shape
-    known = mm[np.isfinite(mm)]
-    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
-    w, h = frame.size[0] / columns, frame.size[1] / rows
-    for row in range(rows):
-        for column in range(columns):
-            value = float(mm[row, column])
-            fill = _colour(_share(value, low, high)) if np.isfinite(value) else "#ffffff"
-            frame.drawing.box(_MARGIN + column * w, _HEAD + row * h, w + 0.4, h + 0.4, fill=fill)
+    low, high = _cells(frame.drawing, mm, (_MARGIN, _HEAD), frame.size)
     for pixel in pixels[:: max(1, len(pixels) // _MOST_ARROWS)]:
         frame.drawing.dot(*frame.at(pixel), 1.0, fill="#5c6b7a")
+    _cell_words(frame.drawing, mm, (_MARGIN, _HEAD), frame.size)
+    frame.foot(f"{what}, mm: {low:.2g} to {high:.2g}; dots: where points were seen")
+    return frame.drawing
+
+
+def uncertainty_plane(title: str, plane: PlaneUncertainty, face_mm: tuple[float, float]) -> Drawing:
+    """What the calibration and a spot's noise amount to over a plane, side by side.
+
+    Parameters
+    ----------
+    title : str
+    plane : PlaneUncertainty
+    face_mm : (width, height)
+        An ellipse of this size is drawn in the middle: the face that errors are told relative to.
+    """
+    across, up = _reach(plane.x_mm), _reach(plane.y_mm)
+    size = 300.0, 300.0 * up / across
+    drawing = Drawing(2 * size[0] + 3 * _MARGIN, size[1] + 2 * _HEAD + _FOOT + 14)
+    drawing.words(_MARGIN, _HEAD - 8, title, size=13)
+    top = 2 * _HEAD - 6
+    panels = (("the calibration: the same in every frame", plane.calibration_mm),
+              ("a spot's noise: anew in every frame", plane.noise_mm))  # fmt: skip
+    turn = np.linspace(0, 2 * np.pi, 73)
+    for i, (what, mm) in enumerate(panels):
+        left = _MARGIN + i * (size[0] + _MARGIN)
+        low, high = _cells(drawing, mm, (left, top), size)
+        _cell_words(drawing, mm, (left, top), size)
+        x = left + size[0] * (0.5 + face_mm[0] / (2 * across) * np.cos(turn))
+        y = top + size[1] * (0.5 + face_mm[1] / (2 * up) * np.sin(turn))
+        ring = list(zip(x.tolist(), y.tolist(), strict=True))
+        drawing.line(*ring, colour=PAPER, width=2.6)
+        drawing.line(*ring, colour=INK, width=1.0)
+        told = f"{what}, mm: {low:.2g} to {high:.2g}" if high > 0 else "fewer than two cameras see"
+        drawing.words(left, top - 5, told, size=11)
+    bar = _round_down(across / 3) / across * size[0]
+    y_bar = top + size[1] + 14
+    drawing.line((_MARGIN, y_bar), (_MARGIN + bar, y_bar), width=2.0)
+    fewest, most = int(plane.n_cameras.min()), int(plane.n_cameras.max())
+    seen = f"{most}" if fewest == most else f"{fewest} to {most}"
+    told = f"{_round_down(across / 3):g} mm; seen by {seen} cameras; the ring is the face"
+    drawing.words(_MARGIN + bar + 8, y_bar + 4, told, size=11)
+    return drawing
+
+
+def _reach(middles: Floats) -> float:
+    """From edge to edge of cells with these middles."""
+    return float(np.ptp(middles)) * len(middles) / max(len(middles) - 1, 1)
+
+
+def _cells(
+    drawing: Drawing, mm: Floats, corner: tuple[float, float], size: tuple[float, float]
+) -> tuple[float, float]:
+    """Colour a grid of uncertainties; the least and the largest, 0 and 0 where none is known."""
+    rows, columns = mm.shape
+    known = mm[np.isfinite(mm)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+    w, h = size[0] / columns, size[1] / rows
+    for (row, column), value in np.ndenumerate(mm):
+        fill = _colour(_share(float(value), low, high)) if np.isfinite(value) else "#ffffff"
+        # a little wider: no gaps between neighbours; the last ones end at the edge
+        more_x, more_y = 0.4 * (column + 1 < columns), 0.4 * (row + 1 < rows)
+        x, y = corner[0] + column * w, corner[1] + row * h
+        drawing.box(x, y, w + more_x, h + more_y, fill=fill)
+    return low, high
+
+
+def _cell_words(
+    drawing: Drawing, mm: Floats, corner: tuple[float, float], size: tuple[float, float]
+) -> None:
+    """The number of every other cell."""
+    rows, columns = mm.shape
+    known = mm[np.isfinite(mm)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     for row in range(1, rows, 2):
         for column in range(1, columns, 2):
             value = float(mm[row, column])
             text = f"{value:.2g}" if np.isfinite(value) else "?"
-            x, y = _MARGIN + (column + 0.5) * w, _HEAD + (row + 0.5) * h + 4
+            x = corner[0] + (column + 0.5) * size[0] / columns
+            y = corner[1] + (row + 0.5) * size[1] / rows + 4
             dark = np.isfinite(value) and _share(value, low, high) > 0.55
-            frame.drawing.words(
-                x, y, text, size=10, anchor="middle", colour="#ffffff" if dark else INK
-            )
-    frame.foot(f"{what}, mm: {low:.2g} to {high:.2g}; dots: where points were seen")
-    return frame.drawing
+            colour = PAPER if dark else INK
+            drawing.words(x, y, text, size=10, anchor="middle", colour=colour)
 
 
 def bars(title: str, values: Sequence[tuple[str, float]], unit: str) -> Drawing:

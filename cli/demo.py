@@ -38,6 +38,7 @@ def demo(
     from ..core.formats.rig_json import read_rig
     from ..datasets_synthetic.take_settings import TakeSettings
     from ..heads.catalogue import built_in_identity
+    from ..tracking.long_takes import LongSettings
     from .animate import run_animate
     from .evaluation import evaluate, load_truth
 
@@ -49,8 +50,10 @@ def demo(
     marker_file = take.marker_set
     assert marker_file is not None
     result = run_animate(
-        take.videos, read_rig(take.rig), read_marker_set(marker_file), folder, head=head
-    )
+        take.videos, read_rig(take.rig), read_marker_set(marker_file), folder, LongSettings(),
+        head=head,
+    )  # fmt: skip
+    assert result.track.trajectories is not None
     truth = load_truth(take.truth)
     stages = _filming(take, len(truth["time_s"]), filming_s)
     stages += evaluate(take.videos, truth, result.track.trajectories, result.performance)

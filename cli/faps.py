@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from ..core.trajectories import Trajectories
     from ..tracking.performance import TrackedPerformance
 
+_MAX_LABELS_BYTES = 1024 * 1024
+
 
 def faps(
     markers_c3d: Annotated[Path, typer.Argument(metavar="markers.c3d", help="Labelled markers.")],
@@ -33,6 +35,17 @@ def faps(
     axes: Annotated[
         str, typer.Option(help="Axes of the head at rest: world, face, or auto.")
     ] = "auto",
+    labels: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="names.csv",
+            help="What the file calls the markers: lines of ITS_NAME,LABEL_OF_THE_SET.",
+        ),
+    ] = None,
+    high_level: Annotated[
+        bool,
+        typer.Option("--high-level", help="Also FAPs 1 and 2: the nearest viseme and expression."),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -49,13 +62,15 @@ def faps(
         raise typer.BadParameter("expected world, face or auto", param_hint="--axes")
     out = writable_file(out or markers_c3d.with_suffix(".fap"), (".fap",))
     trajectories = read_c3d(markers_c3d)
+    if labels is not None:
+        trajectories = renamed(trajectories, labels)
     marker_set = find_marker_set(markers, markers_c3d.parent)
     if marker_set is None:
         raise InputError(
             f"a marker set must tell what the labels mean: give one with --markers, or put "
             f"markers.toml into {markers_c3d.parent}"
         )
-    performance = run_faps(trajectories, marker_set, neutral, axes)
+    performance = run_faps(trajectories, marker_set, neutral, axes, high_level)
     write_fap(out, performance.faps)
     print_table(("FAP", "lowest", "highest", "unit"), fap_ranges(performance.faps))
     note(f"wrote {out}")
@@ -64,7 +79,11 @@ def faps(
 
 
 def run_faps(
-    trajectories: Trajectories, marker_set: MarkerSet, neutral: str = "0", axes: str = "auto"
+    trajectories: Trajectories,
+    marker_set: MarkerSet,
+    neutral: str = "0",
+    axes: str = "auto",
+    high_level: bool = False,
 ) -> TrackedPerformance:
     """Analyse, and say what was decided."""
     import numpy as np
@@ -72,7 +91,9 @@ def run_faps(
     from ..tracking.performance import analyse
 
     frame = neutral_frame(neutral, trajectories)
-    performance = analyse(trajectories, marker_set, neutral_frame=frame, axes=axes)
+    performance = analyse(
+        trajectories, marker_set, neutral_frame=frame, axes=axes, high_level=high_level
+    )
     lost = int(np.isnan(performance.head_motion.quaternion[:, 0]).sum())
     if lost:
         note(f"head motion unknown in {lost} frames (head markers missing): FAPs not set there")
@@ -84,6 +105,38 @@ def run_faps(
     return performance
 
 
+def renamed(trajectories: Trajectories, path: Path) -> Trajectories:
+    """Trajectories with the names that a file of pairs gives them; others keep theirs.
+
+    Raises
+    ------
+    FileFormatError
+        If a line is no pair, or names a marker that is not there.
+    InputError
+        If two markers would have one name.
+    """
+    from dataclasses import replace
+
+    from ..core.errors import FileFormatError
+    from ..core.files import read_text
+
+    names = dict(zip(trajectories.names, trajectories.names, strict=True))
+    for number, line in enumerate(read_text(path, _MAX_LABELS_BYTES).splitlines(), 1):
+        if not line.strip() or line.lstrip().startswith("#"):
+            continue
+        parts = [part.strip() for part in line.split(",")]
+        if len(parts) != 2 or not all(parts):
+            raise FileFormatError(path, f"line {number}", "ITS_NAME,LABEL", line.strip()[:60])
+        if parts[0] not in names:
+            there = ", ".join(trajectories.names[:6])
+            raise FileFormatError(path, f"line {number}", f"one of {there}, ...", parts[0])
+        names[parts[0]] = parts[1]
+    if len(set(names.values())) != len(names):
+        twice = sorted({n for n in names.values() if list(names.values()).count(n) > 1})
+        raise InputError(f"{path}: {', '.join(twice)} would be the name of two markers")
+    return replace(trajectories, names=tuple(names.values()))
+
+
 def facts_of(performance: TrackedPerformance) -> dict[str, Any]:
     """What was found, for JSON."""
     return {
@@ -93,6 +146,7 @@ def facts_of(performance: TrackedPerformance) -> dict[str, Any]:
         "neutral_frames": [int(frame) for frame in performance.neutral.frames],
         "axes": performance.neutral.axes,
         "fapu_mm": performance.fapu.as_dict(),
+        "fapu_sd_mm": performance.fapu_sd_mm,
         "fapu_source": performance.fapu_source,
     }
 
@@ -107,7 +161,9 @@ def fap_ranges(clip: Clip) -> list[tuple[str, float, float, str]]:
     for name in clip.channels:
         values = clip[name]
         if not np.isnan(values).all():
-            fap = fap_by_name()[name]
+            fap = fap_by_name().get(name)
+            if fap is None:  # a part of FAP 1 or 2: its numbers have no range
+                continue
             unit = "1e-5 rad" if fap.fapu == "AU" else f"{fap.fapu}/1024"
             label = f"{fap.number} {name}"
             rows.append((label, float(np.nanmin(values)), float(np.nanmax(values)), unit))

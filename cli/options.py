@@ -61,26 +61,41 @@ def parse_size(text: str, option: str = "--size") -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def neutral_frame(when: str, trajectories: Trajectories) -> int:
-    """The frame that `--neutral` names: ``"12"`` or ``"0.2s"``.
+def parse_when(when: str) -> tuple[int, float | None]:
+    """What `--neutral` names: ``"12"`` is frame 12, ``"0.2s"`` a time (then the frame is 0).
 
     Raises
     ------
     InputError
-        If it is neither, or outside the take.
+        If it is neither.
     """
+    import math
+
     text = when.strip()
-    n = len(trajectories.time_s)
     try:
         if text.endswith("s"):
-            return _frame_at(when, float(text[:-1]), trajectories)
-        frame = int(text)
-    except InputError:  # a ValueError itself
-        raise
+            seconds = float(text[:-1])
+            if math.isfinite(seconds):
+                return 0, seconds
+        else:
+            return int(text), None
     except ValueError:
-        raise InputError(
-            f"--neutral {when}: expected a frame number (12) or seconds with an s (0.2s)"
-        ) from None
+        pass
+    raise InputError(f"--neutral {when}: expected a frame number (12) or seconds with an s (0.2s)")
+
+
+def neutral_frame(when: str, trajectories: Trajectories) -> int:
+    """The frame of a take that `--neutral` names.
+
+    Raises
+    ------
+    InputError
+        If it is no frame and no time, or outside the take.
+    """
+    frame, seconds = parse_when(when)
+    n = len(trajectories.time_s)
+    if seconds is not None:
+        return _frame_at(when, seconds, trajectories)
     if not 0 <= frame < n:
         raise InputError(f"--neutral {when}: the take has frames 0 to {n - 1}")
     return frame

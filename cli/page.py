@@ -26,6 +26,7 @@ from ..core.files import atomic_write
 from ..core.formats.glb_document import GlbDocument
 from ..core.formats.gltf import scene_from_glb
 from ..core.time_base import uniform_rate_hz
+from .drawing import Drawing
 from .page_channels import REGIONS, channel_entries, shown_first
 
 #: Browsers keep text in strings of at most half a gibibyte; base64 adds a third.
@@ -82,6 +83,7 @@ def write_page(
     models: Sequence[PageModel] = (),
     videos: Sequence[PageVideo] = (),
     curves: Clip | None = None,
+    drawings: Sequence[Drawing] = (),
     tables: Sequence[PageTable] = (),
     notes: str = "",
 ) -> None:
@@ -94,6 +96,7 @@ def write_page(
     models, videos : sequences, in the order shown
     curves : Clip or None
         FAPs or any named channels; channels that are never set are left out.
+    drawings : sequence of Drawing
     tables : sequence of PageTable
     notes : str
         Plain text; blank lines part paragraphs.
@@ -143,6 +146,7 @@ def write_page(
         "title": lambda: iter([escape(title)]),
         "policy": lambda: iter([escape(_policy(scripts))]),
         "style": lambda: iter([_asset("page.css")]),
+        "drawings": lambda: (f'<div class="sheet">{d.svg()}</div>\n' for d in drawings),
         "tables": lambda: iter([_tables_html(tables)]),
         "notes": lambda: iter([_notes_html(notes)]),
         "data": lambda: _data_html(config, blocks),

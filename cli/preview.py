@@ -39,6 +39,11 @@ _COLOURS = {
 }
 
 
+def marker_colour(label: str) -> tuple[int, int, int]:
+    """RGB by the beginning of a label, grey for others."""
+    return next((c for k, c in _COLOURS.items() if label.startswith(k)), (200, 200, 200))
+
+
 @dataclass(frozen=True, eq=False)
 class SourceView:
     """The camera shown, and the part of its picture that holds the head.
@@ -133,7 +138,7 @@ def _draw_tracks(
     trail: int,
 ) -> None:
     for m, name in enumerate(tracks.names):
-        colour = next((c for k, c in _COLOURS.items() if name.startswith(k)), (200, 200, 200))
+        colour = marker_colour(name)
         path = pixels[max(0, frame - trail) : frame + 1, m]
         path = path[np.isfinite(path).all(axis=1)]
         ends = np.rint(path * 16).astype(int)

@@ -7,22 +7,32 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..capture.tsai import Parameter
 from .calibrate_board import lens_drawings
 from .calibration_plots import bars, cameras_in_space, residual_field
 from .calibration_report import (
     CalibrationReport,
     ReportTable,
-    parameters_json,
-    rejected_json,
     rejected_table,
 )
 from .drawing import Drawing
+from .rig_tables import (
+    across_mm,
+    at_face,
+    camera_table,
+    clock_table,
+    common_json,
+    distance_table,
+    face_drawings,
+    face_words,
+    lens_table,
+    views_used,
+)
 from .tables import Table
 
 if TYPE_CHECKING:
-    from ..capture.rigs import RigCalibration
-    from .calibrate_rig import RigResult
+    from ..capture.rig_uncertainty import TriangulationSd
+    from ..capture.shutter_check import ShutterCheck
+    from .rig_from_board import RigResult
 
 Floats = NDArray[np.float64]
 
@@ -30,26 +40,28 @@ Floats = NDArray[np.float64]
 def rig_report(result: RigResult, distance_mm: float) -> CalibrationReport:
     """What was found, in tables and pictures."""
     found = result.found
+    at_board, face = at_board_mm(result), at_face(found)
     tables = [
-        ReportTable("Cameras", _camera_table(result)),
-        ReportTable("Distances between cameras", _distance_table(found)),
+        ReportTable("Cameras", camera_table(found, at_board, "the board")),
+        ReportTable("Distances between cameras", distance_table(found)),
     ]
     if result.lenses:
-        tables.append(ReportTable("Lenses", _lens_table(found)))
+        tables.append(ReportTable("Lenses", lens_table(found)))
     if result.clocks:
-        tables.append(ReportTable("Clocks", _clock_table(result)))
+        tables.append(ReportTable("Clocks", clock_table(result.clocks)))
+    if result.shutters:
+        tables.append(ReportTable("Shutters", _shutter_table(result)))
     if found.views_rejected:
         tables.append(ReportTable("Not used", rejected_table(found.views_rejected)))
     board_mm, n = board_check_mm(result)
-    at_board = at_board_mm(result)
     summary = (
-        f"{len(found.rig)} cameras, {len(_views_used(found))} views: RMS {found.rms_used_px:.4g} "
+        f"{len(found.rig)} cameras, {len(views_used(found))} views: RMS {found.rms_used_px:.4g} "
         f"px; at the board the cameras' poses are sure to {max(at_board.values()):.3g} mm or "
         f"better across the line of sight; {n} points of the board, triangulated, come out where "
-        f"they were printed to {board_mm:.3g} mm RMS"
+        f"they were printed to {board_mm:.3g} mm RMS{face_words(face)}"
     )
     title = f"Rig of {len(found.rig)} cameras"
-    drawings = tuple(_drawings(result, distance_mm))
+    drawings = tuple(_drawings(result, distance_mm, face))
     return CalibrationReport(title, summary, found.warnings, tuple(tables), drawings)
 
 
@@ -58,128 +70,49 @@ def rig_json(result: RigResult) -> dict[str, Any]:
     found = result.found
     board_mm, n = board_check_mm(result)
     return {
-        "rms_px": found.rms_px,
-        "rms_used_px": found.rms_used_px,
-        "sd_px": found.sd_px,
-        "views_used": list(_views_used(found)),
-        "views_rejected": rejected_json(found.views_rejected),
-        "parameters": [
-            entry for name in found.rig for entry in parameters_json(_parameters(found, name))
-        ],
-        "cameras": list(found.rig),
-        "unconnected": list(found.unconnected),
+        **common_json(found, result.clocks),
         "at_board_mm": at_board_mm(result),
         "board_points_mm": {"rms": board_mm, "points": n},
-        "distances_mm": [
-            {"cameras": [a, b], "value": value, "sd": sd}
-            for a, b, value, sd in _distances(found)
-        ],
-        "clocks": {
-            name: {"offset_s": c.offset_s, "drift": c.drift, "offset_sd_s": c.offset_sd_s,
-                   "method": c.method}
-            for name, c in result.clocks.items()
-        },
+        "rolling_shutter": {n: _shutter_json(check) for n, check in result.shutters.items()},
+        "board_speed_mm_s": {name: speed.mm_s for name, speed in result.speeds.items()},
+        "notes": list(result.notes),
         "lens_models": {name: lens.model for name, lens in result.lenses.items()},
-        "warnings": list(found.warnings),
-    }  # fmt: skip
-
-
-def _views_used(found: RigCalibration) -> list[str]:
-    return list(dict.fromkeys(view for _, view in found.residuals))
-
-
-def _parameters(found: RigCalibration, name: str) -> list[Parameter]:
-    """Estimated intrinsics, and the centre in the world."""
-    camera = found.rig[name]
-    K, d = camera.matrix, camera.distortion
-    values: dict[str, float] = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
-    labels = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    values |= dict(zip(labels, d, strict=False))
-    sds = found.intrinsics_sd[name]
-    inner = [
-        Parameter(f"{name}.{p}", float(values[p]), float(sd), "px" if p[0] in "fc" else "")
-        for p, sd in zip(found.parameters[name], sds, strict=True)
-    ]
-    centre_sd = np.sqrt(np.maximum(np.diag(found.covariance[name])[3:], 0))
-    outer = [
-        Parameter(f"{name}.{axis}", float(value), float(sd), "mm")
-        for axis, value, sd in zip("xyz", camera.position, centre_sd, strict=True)
-    ]
-    return inner + outer
-
-
-def _camera_table(result: RigResult) -> Table:
-    found = result.found
-    at_board = at_board_mm(result)
-    rows = []
-    for name, camera in found.rig.cameras.items():
-        residuals = [r for (c, _), r in found.residuals.items() if c == name]
-        rms = float(np.sqrt((np.concatenate(residuals) ** 2).sum(axis=1).mean()))
-        C = found.covariance[name]
-        centre_sd = float(np.sqrt(max(np.trace(C[3:, 3:]), 0)))
-        turn_sd = float(np.rad2deg(np.sqrt(max(np.trace(C[:3, :3]), 0))))
-        x, y, z = (f"{v:.2f}" for v in camera.position)
-        rows.append((name, len(residuals), rms, x, y, z, centre_sd, turn_sd, at_board[name]))
-    columns = ("camera", "views", "RMS px", "x mm", "y mm", "z mm", "centre sd mm",
-               "rotation sd °", "mm at the board")  # fmt: skip
-    return Table(columns, tuple(rows))
-
-
-def _distance_table(found: RigCalibration) -> Table:
-    rows = tuple((f"{a} – {b}", f"{value:.2f}", sd) for a, b, value, sd in _distances(found))
-    return Table(("cameras", "mm", "sd mm"), rows)
-
-
-def _distances(found: RigCalibration) -> list[tuple[str, str, float, float]]:
-    """From the first camera to each other: it is held, so the other's covariance tells all."""
-    first, *others = found.rig
-    rows = []
-    for name in others:
-        apart: Floats = found.rig[name].position - found.rig[first].position
-        value = float(np.linalg.norm(apart))
-        way = apart / max(value, 1e-9)
-        sd = float(np.sqrt(max(float(way @ found.covariance[name][3:, 3:] @ way), 0.0)))
-        rows.append((first, name, value, sd))
-    return rows
-
-
-def _lens_table(found: RigCalibration) -> Table:
-    rows = tuple(
-        (p.name, f"{p.value:.6g}", p.sd, p.unit)
-        for name in found.rig
-        for p in _parameters(found, name)[: len(found.parameters[name])]
-    )
-    return Table(("parameter", "value", "sd", "unit"), rows)
-
-
-def _clock_table(result: RigResult) -> Table:
-    rows = tuple(
-        (name, 1e3 * c.offset_s, 1e3 * c.offset_sd_s, 1e6 * c.drift, c.method)
-        for name, c in result.clocks.items()
-    )
-    return Table(("camera", "offset ms", "sd ms", "drift ppm", "from"), rows)
+    }
 
 
 def at_board_mm(result: RigResult) -> dict[str, float]:
-    """What each pose's uncertainty amounts to at the board, across the line of sight, mm.
-
-    First order, against the first camera, root mean square over the views' middles.
-    """
-    found = result.found
+    """What each pose's uncertainty amounts to at the board, across the line of sight, mm."""
     middle = result.board.object_points().mean(axis=0)
-    places = np.stack([pose.apply(middle) for pose in found.view_poses.values()])
-    mm = {}
-    for name, camera in found.rig.cameras.items():
-        R = camera.camera_from_world.rotation
-        p = camera.camera_from_world.apply(places)
-        squares = []
-        for x, y, z in p:
-            # p = exp(δ) R (P - C): dp = δ × p - R dC
-            cross = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])
-            J = np.hstack([cross, -R])[:2]
-            squares.append(np.trace(J @ found.covariance[name] @ J.T) / 2)
-        mm[name] = float(np.sqrt(max(float(np.mean(squares)), 0.0)))
-    return mm
+    places = np.stack([pose.apply(middle) for pose in result.found.view_poses.values()])
+    return across_mm(result.found, places)
+
+
+def _shutter_table(result: RigResult) -> Table:
+    rows: list[tuple[object, ...]] = []
+    for name, check in result.shutters.items():
+        read, speed = check.readout, check.speed.mm_s
+        if read is None:
+            rows.append((name, None, None, speed, None, None, check.reason))
+            continue
+        told = "rolling" if read.warnings else "none shown"
+        row = (1e3 * read.readout_s, 1e3 * read.sd_s, speed, check.bend_px, check.bend_mm, told)
+        rows.append((name, *row))
+    columns = ("camera", "first to last row ms", "sd ms", "board mm/s", "bend px", "bend mm",
+               "rolling shutter")  # fmt: skip
+    return Table(columns, tuple(rows))
+
+
+def _shutter_json(check: ShutterCheck) -> dict[str, Any]:
+    read = check.readout
+    return {
+        "readout_s": None if read is None else read.readout_s,
+        "sd_s": None if read is None else read.sd_s,
+        "frames": 0 if read is None else read.n_frames,
+        "reason": check.reason,
+        "bend_px": check.bend_px,
+        "bend_mm": check.bend_mm,
+        "matters": check.matters,
+    }
 
 
 def board_check_mm(result: RigResult) -> tuple[float, int]:
@@ -213,12 +146,13 @@ def board_check_mm(result: RigResult) -> tuple[float, int]:
     return float(np.sqrt(squares / count)) if count else float("nan"), count
 
 
-def _drawings(result: RigResult, distance_mm: float) -> list[Drawing]:
+def _drawings(result: RigResult, distance_mm: float, face: TriangulationSd | None) -> list[Drawing]:
     found = result.found
     points = result.board.object_points()
     drawn = [cameras_in_space("The cameras and the boards", found.rig, found.view_poses, points)]
+    drawn += face_drawings(found, face)
     per_view = []
-    for view in _views_used(found):
+    for view in views_used(found):
         joined = np.concatenate([r for (_, v), r in found.residuals.items() if v == view])
         per_view.append((view, float(np.sqrt((joined**2).sum(axis=1).mean()))))
     drawn.append(bars("Residuals by view, all cameras, px", per_view, "px"))

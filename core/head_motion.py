@@ -24,11 +24,15 @@ class HeadMotion:
     quaternion : (T, 4) float64, w x y z
         Unit length; NaN where the motion could not be found.
     translation : (T, 3) float64, mm, world frame
+    covariance : (T, 6, 6) float64, or None
+        Of the errors (φ, d): φ, rad, about the world's axes, ``R_true ≈ exp([φ]×) R``; d, mm, of
+        the translation. NaN where the motion is.
     """
 
     time_s: NDArray[np.float64]
     quaternion: NDArray[np.float64]
     translation: NDArray[np.float64]
+    covariance: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         times = checked_times(self.time_s)
@@ -40,6 +44,9 @@ class HeadMotion:
         object.__setattr__(self, "quaternion", readonly(q, (n, 4), "quaternion"))
         t = readonly(self.translation, (n, 3), "translation")
         object.__setattr__(self, "translation", t)
+        if self.covariance is not None:
+            C = readonly(self.covariance, (n, 6, 6), "covariance")
+            object.__setattr__(self, "covariance", C)
 
     @property
     def rate_hz(self) -> float | None:

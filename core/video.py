@@ -10,7 +10,7 @@ import math
 import struct
 from collections import deque
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,11 @@ from .video_pixels import luma_of, rgb_of, turn_of
 _MAX_PIXELS = 16384 * 16384
 #: What opens as "video" but is none: pictures, text as ANSI art, lists of other files.
 _NO_VIDEO_FORMATS = ("image2", "tty", "ico", "concat", "hls", "dash")
+#: Containers whose index says where pictures of their own lie.
+_INDEXED_FORMATS = frozenset(["mov", "mp4", "matroska", "webm"])
+_SEEK_BEFORE_S = 1.0  # pictures after a seek may refer to ones before it
+_STAMP_S = 5e-4  # half of a container's millisecond
+_SAMPLE_EVERY = 7  # frames; lamps flicker with even numbers of them
 
 
 @dataclass(frozen=True)
@@ -137,7 +142,7 @@ def probe_video(path: Path) -> VideoInfo:
 
 
 def read_frames(
-    path: Path, *, gray: bool = False, threads: int = 0
+    path: Path, *, gray: bool = False, threads: int = 0, from_s: float = 0.0
 ) -> Generator[Frame, None, None]:
     """The frames of a video, in order, decoded as they are asked for.
 
@@ -152,6 +157,10 @@ def read_frames(
         bits are rounded to 8, RGB formats converted (full range).
     threads : int
         Decoder threads; 0 takes all processors.
+    from_s : float, s
+        Begin with the first frame at or after this time; its index is 0, while times are still
+        those from the start of the file. What lies before is skipped over if the container has
+        an index, else decoded and dropped.
 
     Yields
     ------
@@ -171,15 +180,24 @@ def read_frames(
         stream.thread_type = "AUTO"
         stream.thread_count = threads
         rate = stream.average_rate or stream.guessed_rate
-        start_s, last_s, size = 0.0, -math.inf, (0, 0)
-        for index, (decoded, time_s) in enumerate(_decoded(path, container, stream)):
+        last_s, size = -math.inf, (0, 0)
+        start_s = _sought(path, container, stream, from_s) if from_s > 0 else None
+        n_skipped = 0
+        for count, (decoded, time_s) in enumerate(
+            _decoded(path, container, stream, sought=start_s is not None)
+        ):
             if time_s is None:  # raw streams have no clock
                 if not rate:
-                    raise FileFormatError(path, f"frame {index}", "a time stamp or rate", "neither")
-                time_s = index / float(rate)
+                    raise FileFormatError(path, f"frame {count}", "a time stamp or rate", "neither")
+                time_s = count / float(rate)
+            if start_s is None:
+                start_s = time_s
+            if from_s > 0 and time_s - start_s < from_s - _STAMP_S:
+                n_skipped += 1
+                continue
+            index = count - n_skipped
             if index == 0:
-                start_s, size = time_s, (decoded.width, decoded.height)
-                turned = turn_of(decoded)
+                size, turned = (decoded.width, decoded.height), turn_of(decoded)
             if (decoded.width, decoded.height) != size:
                 found = f"{decoded.width}x{decoded.height}"
                 raise FileFormatError(path, f"frame {index}", f"{size[0]}x{size[1]}", found)
@@ -190,6 +208,86 @@ def read_frames(
             image = turned(luma_of(decoded) if gray else rgb_of(decoded))
             image.flags.writeable = False
             yield Frame(index, time_s - start_s, image)
+
+
+def sample_frames(path: Path, count: int, *, gray: bool = False) -> list[Frame]:
+    """Some pictures spread over a video, cheaply: those that can be decoded by themselves.
+
+    Of a file without an index, or with one such picture only, they are from its first seconds.
+
+    Parameters
+    ----------
+    path : Path
+    count : int
+        How many, if there are so many.
+    gray : bool
+        As `read_frames`; pictures are copies.
+
+    Returns
+    -------
+    list of Frame
+        In order of time, at least one; `index` counts them.
+
+    Raises
+    ------
+    FileFormatError, OSError
+        As `read_frames`.
+    """
+    with open_container(path) as container:
+        stream = _video_stream(path, container)
+        stream.thread_type = "AUTO"
+        found = list(_key_frames(path, container, stream, count, gray))
+    if len(found) >= min(count, 4):
+        return [Frame(i, t, image) for i, (t, image) in enumerate(found)]
+    early: list[Frame] = []
+    with closing(read_frames(path, gray=gray)) as frames:
+        for frame in frames:
+            if frame.index % _SAMPLE_EVERY == 0:
+                early.append(Frame(len(early), frame.time_s, np.array(frame.image)))
+            if len(early) == count:
+                break
+    return early
+
+
+def _key_frames(
+    path: Path, container: Any, stream: Any, count: int, gray: bool
+) -> Iterator[tuple[float, NDArray[np.uint8]]]:
+    """Time from the first frame, and picture, of up to `count` pictures that seeking finds."""
+    first, start_s = next(_decoded(path, container, stream))
+    turned = turn_of(first)
+    length_s = float(stream.duration * stream.time_base) if stream.duration else 0.0
+    if start_s is None or not set(container.format.name.split(",")) & _INDEXED_FORMATS:
+        return
+    if not length_s and container.duration:
+        length_s = container.duration / 1e6
+    last_s = -math.inf
+    for i in range(count):
+        container.seek(
+            math.floor((start_s + length_s * i / count) / stream.time_base), stream=stream
+        )
+        decoded, time_s = next(_decoded(path, container, stream, sought=True))
+        if time_s is not None and time_s > last_s:
+            last_s = time_s
+            image = turned(luma_of(decoded) if gray else rgb_of(decoded))
+            yield time_s - start_s, np.array(image)
+
+
+def _sought(path: Path, container: Any, stream: Any, from_s: float) -> float | None:
+    """Go to a picture before a time that can be decoded by itself; the time of the first frame.
+
+    None, and still at the start, where the container has no index that can be trusted.
+    """
+    if not set(container.format.name.split(",")) & _INDEXED_FORMATS:
+        return None
+    decoded = _decoded(path, container, stream)
+    _, start_s = next(decoded)
+    decoded.close()
+    before_s = -math.inf if start_s is None else start_s + from_s - _SEEK_BEFORE_S
+    if start_s is None or before_s <= start_s:
+        container.seek(0)
+        return None
+    container.seek(math.floor(before_s / stream.time_base), stream=stream)
+    return float(start_s)
 
 
 def _video_stream(path: Path, container: Any) -> Any:
@@ -213,8 +311,14 @@ def _video_stream(path: Path, container: Any) -> Any:
     return stream
 
 
-def _decoded(path: Path, container: Any, stream: Any) -> Iterator[tuple[Any, float | None]]:
-    """Decoded frames and their times; at least one, and never fewer than promised: or an error."""
+def _decoded(
+    path: Path, container: Any, stream: Any, *, sought: bool = False
+) -> Generator[tuple[Any, float | None], None, None]:
+    """Decoded frames and their times; at least one, and never fewer than promised: or an error.
+
+    Where the middle of the file was sought, the first pictures may lack those they refer to: they
+    are left out; and nobody counts how many come.
+    """
     import av
 
     n_packets = n_frames = 0
@@ -238,11 +342,13 @@ def _decoded(path: Path, container: Any, stream: Any) -> Iterator[tuple[Any, flo
                 # AVI knows the order of decoding only: the n-th shown has the n-th time
                 times.append(float(packet.dts * stream.time_base))
             for last in packet.decode():
+                if last.is_corrupt and sought and n_frames == 0:
+                    continue
                 if last.is_corrupt:
                     raise av.InvalidDataError(0, "damaged data")
                 yield timed(last)
                 n_frames += 1
-        if not problem and not _is_whole(path, container, stream, n_packets):
+        if not problem and not sought and not _is_whole(path, container, stream, n_packets):
             problem = "the end of the file"
         for frame in stream.decode(None):
             # of a file cut off, what is still in the decoder may lack frames in between

@@ -10,30 +10,46 @@ package selenium; without them it is left as it is, and that is said.
 from __future__ import annotations
 
 import argparse
+import colorsys
 import shutil
 import sys
 import tempfile
+import textwrap
 import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from facewright.capture import (
+    BoardView,
+    LensCalibration,
+    calibrate_board,
+    calibrate_rig,
+    detect_board,
+    point_sd_mm,
+    tsai,
+)
+from facewright.cli.calibration_plots import cameras_in_space, residual_field, uncertainty_map
 from facewright.cli.demo import demo
-from facewright.core.boards import parse_board
+from facewright.cli.drawing import Drawing
+from facewright.cli.track import track
+from facewright.core.boards import Board, parse_board
 from facewright.core.clip import Clip
 from facewright.core.formats.rig_json import read_rig
 from facewright.core.mesh import Mesh, vertex_normals
 from facewright.core.mpeg4 import fap_by_name
 from facewright.core.rigid import Rigid
 from facewright.core.video import read_frames
-from facewright.datasets_synthetic.boards import board_views, make_board_shots
+from facewright.datasets_synthetic.boards import board_truth, board_views, make_board_shots
 from facewright.datasets_synthetic.face_motion import FaceMotion
 from facewright.datasets_synthetic.film_views import open_views
 from facewright.datasets_synthetic.photo_pictures import Photographer
+from facewright.datasets_synthetic.photo_points import mark_points, visible_points
 from facewright.datasets_synthetic.photos import PhotoSettings, plan_photos
 from facewright.datasets_synthetic.scan_meshes import scan_mesh
 from facewright.datasets_synthetic.scan_target import ScanTarget
@@ -43,12 +59,12 @@ from facewright.datasets_synthetic.takes import make_take
 from facewright.datasets_synthetic.voices import make_voice
 from facewright.heads.bones import make_bones
 from facewright.heads.catalogue import BUILT_IN, built_in_head
-from facewright.heads.chart import feature_point_chart
+from facewright.heads.chart import feature_point_chart, marker_chart
 from facewright.heads.expressions import EXPRESSIONS as BASIC_EXPRESSIONS
 from facewright.heads.expressions import expression_weights, viseme_weights
 from facewright.heads.head import Head
 from facewright.heads.identity import make_head, random_identity
-from facewright.heads.marker_sets import glue_markers, ready_marker_set
+from facewright.heads.marker_sets import ready_marker_set
 from facewright.heads.raycast import NO_HIT, RayScene
 from facewright.heads.render import HeadRenderer, portrait_camera
 from facewright.retarget.drive import HeadDrive
@@ -170,25 +186,9 @@ def expressions(_: Path) -> list[Path]:
 
 
 def marker_placement(_: Path) -> list[Path]:
-    """Where the ready marker set's dots are glued, with their labels."""
-    head, markers = built_in_head("average"), ready_marker_set()
-    at = glue_markers(head, markers).at(head.mesh.vertices)
-    camera = portrait_camera(head, (1140, 960))
-    picture = Image.fromarray(HeadRenderer(head).render(head.mesh.vertices, camera))
-    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(15)
-    pixels = camera.project(at)
-    is_left = pixels[:, 0] < pixels[:, 0].mean() - 2
-    for rows, x in ((np.flatnonzero(is_left), 20), (np.flatnonzero(~is_left), 960)):
-        rows = rows[np.argsort(pixels[rows, 1])]
-        for i, y in zip(rows, _apart(pixels[rows, 1], 27.0, 930.0), strict=True):
-            marker = markers.markers[i]
-            text = f"{marker.label}  {marker.feature_point}"
-            end = x - 8 if x > 500 else x + draw.textlength(text, font=font) + 8
-            draw.line([(end, y), tuple(pixels[i])], fill=(160, 160, 160), width=1)
-            draw.text((x, y - 9), text, font=font, fill=(245, 245, 245))
-    for x, y in pixels:
-        draw.ellipse([x - 6, y - 6, x + 6, y + 6], fill=(255, 255, 255), outline=(40, 40, 40))
-    return [_save(np.asarray(picture), "markers.jpg", width=1140)]
+    """Where the markers of the 53 set are glued, with their labels."""
+    chart = marker_chart(built_in_head(HEAD), ready_marker_set("full53"))
+    return [_save(chart, "marker_chart.webp", width=1400)]
 
 
 def influence(_: Path) -> list[Path]:
@@ -213,10 +213,26 @@ def influence(_: Path) -> list[Path]:
 
 def page(folder: Path) -> list[Path]:
     """The report in a browser; nothing where there is none."""
+    picture = _screenshot(folder / "report.html", (1440, 1180))
+    return [] if picture is None else [_save(picture, "page.jpg", width=1200)]
+
+
+def cleaning_report(folder: Path) -> list[Path]:
+    """What `facewright track --report` shows of the demo's take."""
+    videos = sorted(folder.glob("cam*.mp4"))
+    with tempfile.TemporaryDirectory() as scratch:
+        report = Path(scratch) / "cleaning.html"
+        track(videos, out=Path(scratch) / "markers.c3d", report=report)
+        picture = _screenshot(report, (1600, 1500))
+    return [] if picture is None else [_save(picture, "cleaning_report.webp", width=1200)]
+
+
+def _screenshot(html: Path, size: tuple[int, int]) -> Picture | None:
+    """A page of ours in a browser, some seconds into it; None where there is no browser."""
     chromium, driver_path = shutil.which("chromium"), shutil.which("chromedriver")
     if chromium is None or driver_path is None:
-        print("page.jpg is left as it is: chromium and chromedriver are not installed")
-        return []
+        print(f"no picture of {html.name}: chromium and chromedriver are not installed")
+        return None
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 
@@ -226,7 +242,7 @@ def page(folder: Path) -> list[Path]:
         for argument in (
             "--headless",
             "--no-sandbox",
-            "--window-size=1440,1180",
+            f"--window-size={size[0]},{size[1]}",
             "--use-gl=angle",
             "--use-angle=swiftshader",
             "--enable-unsafe-swiftshader",
@@ -236,16 +252,15 @@ def page(folder: Path) -> list[Path]:
         driver = webdriver.Chrome(options=options, service=Service(driver_path))
         try:
             driver.set_script_timeout(120)
-            driver.get((folder / "report.html").resolve().as_uri())
+            driver.get(html.resolve().as_uri())
             driver.execute_async_script("facewright.ready.then(arguments[arguments.length - 1])")
             driver.execute_script(f"facewright.seek({PAGE_S})")
             time.sleep(4)  # software drawing
             shot = Path(profile) / "page.png"
             driver.save_screenshot(str(shot))
-            picture = np.asarray(Image.open(shot).convert("RGB"))
+            return np.asarray(Image.open(shot).convert("RGB"))
         finally:
             driver.quit()
-    return [_save(picture, "page.jpg", width=1200)]
 
 
 def people(_: Path) -> list[Path]:
@@ -387,6 +402,163 @@ def spectrogram(_: Path) -> list[Path]:
     return [_save(np.asarray(page), "voice.jpg", width=width)]
 
 
+# --- calibration ----------------------------------------------------------------------------
+
+
+def calibration_boards(_: Path) -> list[Path]:
+    """A board found, its corners in their order; and one that was refused, with the reason."""
+    board = parse_board(BOARDS[0])
+    (tilted,) = board_views(make_board_shots(board, 5, n_views=1, image_size=(960, 720)), "cam0")
+    found = detect_board(tilted, board)
+    assert found.view is not None, found.reason
+    drawn = _with_order(tilted, found.view, board)
+    left = round(float(np.percentile(found.view.pixels[:, 0], 45)))
+    cut = np.ascontiguousarray(tilted[:, left:])
+    refused = detect_board(cut, board)
+    assert refused.reason is not None
+    sheet = np.full_like(tilted, 255)
+    sheet[:, left:] = cut
+    told = Image.fromarray(np.repeat(sheet[:, :, None], 3, axis=2))
+    words = "\n".join(textwrap.wrap(refused.reason, 26))
+    ImageDraw.Draw(told).text(
+        (30, 40), words, fill=(29, 39, 51), font=ImageFont.load_default(30), spacing=10
+    )
+    return [_save(_grid([drawn, np.asarray(told)], 2), "calibration_boards.webp", width=1200)]
+
+
+def calibration_residuals(_: Path) -> list[Path]:
+    """The same views through a lens model that lacks distortion, and through one that has it."""
+    views, size = _board_views(5, 12, poor=False)
+    drawings = [
+        residual_field(f"{words}: RMS {found.rms_used_px:.2g} px", size,
+                       np.concatenate([v.pixels for v in found.views]),
+                       np.concatenate(found.residuals)).image()
+        for words, found in (
+            ("without distortion", calibrate_board(views, size, model="none")),
+            ("with the model that was chosen", calibrate_board(views, size)),
+        )
+    ]  # fmt: skip
+    return [_save(_grid(drawings, 2), "calibration_residuals.png", width=1240)]
+
+
+def calibration_uncertainty(_: Path) -> list[Path]:
+    """What two ways of shooting leave unsure at the face."""
+    drawings = []
+    for words, count, poor in (("5 frontal views", 5, True), ("12 tilted views", 12, False)):
+        views, size = _board_views(5, count, poor=poor)
+        found = calibrate_board(views, size)
+        drawings.append(_lens_map(f"{words}: RMS {found.rms_used_px:.2g} px", found).image())
+    return [_save(_grid(drawings, 2), "calibration_uncertainty.png", width=1240)]
+
+
+def calibration_rig(_: Path) -> list[Path]:
+    """A rig of four, and where the board was held."""
+    board = parse_board(BOARDS[0])
+    shots = make_board_shots(board, 2, n_cameras=4, n_views=12)
+    truth, rng = board_truth(shots), np.random.default_rng(2)
+    views = {
+        name: [
+            BoardView(f"view {v}", board.object_points(), p + rng.normal(0, 0.05, p.shape))
+            for v, p in enumerate(truth["pixels"][c])
+            if np.isfinite(p).all()
+        ]
+        for c, name in enumerate(shots.rig.names)
+    }
+    lenses = {
+        name: calibrate_board(seen, shots.rig[name].image_size).camera
+        for name, seen in views.items()
+    }
+    found = calibrate_rig(views, lenses)
+    drawn = cameras_in_space("", found.rig, found.view_poses, board.object_points())
+    return [_save(drawn.image(), "calibration_rig.png", width=1240)]
+
+
+def calibration_photo(_: Path) -> list[Path]:
+    """Points marked in a photograph, and what Tsai's method leaves of them, enlarged."""
+    session = plan_photos(built_in_head("mei"), PhotoSettings(size=(1520, 1004)), 3)
+    shot = session.shots[1]
+    marked = mark_points(
+        visible_points(session.head, shot.camera), session.head, session.settings,
+        np.random.default_rng(8),
+    )  # fmt: skip
+    pixels = np.array(marked.on_photo)
+    pixels[4] += (38.0, -24.0)  # somebody clicked on the wrong place
+    found = tsai(marked.on_mesh, pixels, shot.camera.image_size)
+    picture = Image.fromarray(Photographer(session).take(shot))
+    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(20)
+    for name, pixel, off, is_used in zip(
+        marked.names, pixels, found.residuals, found.is_used, strict=True
+    ):
+        colour = (40, 230, 120) if is_used else (255, 70, 50)
+        x, y = pixel
+        draw.line([(x, y), tuple(pixel - off * (15 if is_used else 1))], fill=colour, width=3)
+        draw.ellipse([x - 5, y - 5, x + 5, y + 5], outline=colour, width=3)
+        if not is_used:
+            draw.text((x + 12, y - 12), f"{name}: {np.hypot(*off):.0f} px off", colour, font)
+    middle = pixels.mean(axis=0).astype(int)
+    low = np.maximum(middle - (480, 420), 0)
+    crop = np.asarray(picture)[low[1] : low[1] + 840, low[0] : low[0] + 960]
+    known = tsai(
+        marked.on_mesh, pixels, shot.camera.image_size,
+        camera=replace(shot.camera, camera_from_world=Rigid.identity()),
+    )  # fmt: skip
+    page = Image.fromarray(np.full((crop.shape[0], 520, 3), 255, np.uint8))
+    pen, font = ImageDraw.Draw(page), ImageFont.load_default(24)
+    y = 36
+    for title, result in (("Camera unknown", found), ("Lens known", known)):
+        used = f"{int(result.is_used.sum())} of {len(pixels)} points"
+        pen.text((30, y), f"{title}: {result.rms_used_px:.2g} px, {used}", (29, 39, 51), font)
+        for parameter in result.parameters:
+            y += 36
+            values = (parameter.name, f"{parameter.value:.5g}", f"± {parameter.sd:.2g}")
+            for x, text in zip((40, 110, 240), (*values[:2], f"{values[2]} {parameter.unit}"),
+                               strict=True):  # fmt: skip
+                pen.text((x, y), text, (29, 39, 51), font)
+        y += 64
+    return [_save(np.hstack([crop, np.asarray(page)]), "calibration_photo.webp", width=1200)]
+
+
+def _board_views(seed: int, count: int, *, poor: bool) -> tuple[list[BoardView], tuple[int, int]]:
+    """What a detector sees to 0.05 px, and the picture's size."""
+    board = parse_board(BOARDS[0])
+    shots = make_board_shots(board, seed, n_views=count, poor=poor)
+    rng = np.random.default_rng(seed)
+    views = [
+        BoardView(f"view {v}", board.object_points(), p + rng.normal(0, 0.05, p.shape))
+        for v, p in enumerate(board_truth(shots)["pixels"][0])
+    ]
+    return views, shots.rig[shots.rig.names[0]].image_size
+
+
+def _lens_map(title: str, found: LensCalibration) -> Drawing:
+    """A lens's uncertainty at 750 mm over the picture."""
+    w, h = found.camera.image_size
+    rows, columns = 8, 12
+    x, y = np.meshgrid((np.arange(columns) + 0.5) / columns * w, (np.arange(rows) + 0.5) / rows * h)
+    mm = point_sd_mm(found, np.stack([x, y], axis=2) - 0.5, 750.0)
+    pixels = np.concatenate([v.pixels for v in found.views])
+    return uncertainty_map(title, (w, h), mm, pixels, "standard deviation at 750 mm")
+
+
+def _with_order(grey: Picture, view: BoardView, board: Board) -> Picture:
+    """Corners joined in their order: red to violet, the first one ringed."""
+    picture = Image.fromarray(np.repeat(grey[:, :, None], 3, axis=2))
+    draw = ImageDraw.Draw(picture)
+    row = np.rint(view.points[:, 1] / board.square_mm).astype(int)
+    last = int(row.max()) or 1
+    for i, (x, y) in enumerate(view.pixels):
+        colour = tuple(
+            round(255 * c) for c in colorsys.hsv_to_rgb(0.75 * float(row[i]) / last, 0.9, 1)
+        )
+        if i + 1 < len(view.pixels):
+            width = 3 if row[i + 1] == row[i] else 1
+            draw.line([(x, y), tuple(view.pixels[i + 1])], fill=colour, width=width)
+        draw.ellipse([x - 5, y - 5, x + 5, y + 5], outline=colour, width=3)
+    x, y = view.pixels[0]
+    draw.ellipse([x - 14, y - 14, x + 14, y + 14], outline=(255, 40, 40), width=4)
+    return np.asarray(picture)
+
+
 #: In the order of making; each takes the demo's folder and returns what it wrote.
 MAKERS: Mapping[str, Callable[[Path], list[Path]]] = {
     "demo": demo_still,
@@ -396,6 +568,7 @@ MAKERS: Mapping[str, Callable[[Path], list[Path]]] = {
     "heads": built_in_heads,
     "expressions": expressions,
     "markers": marker_placement,
+    "cleaning": cleaning_report,
     "influence": influence,
     "people": people,
     "acting": acting,
@@ -405,10 +578,15 @@ MAKERS: Mapping[str, Callable[[Path], list[Path]]] = {
     "scans": scans,
     "bones": bones_picture,
     "voice": spectrogram,
+    "calibration_boards": calibration_boards,
+    "calibration_residuals": calibration_residuals,
+    "calibration_uncertainty": calibration_uncertainty,
+    "calibration_rig": calibration_rig,
+    "calibration_photo": calibration_photo,
     "page": page,
 }
 #: Those that show results of the demo.
-OF_DEMO = ("demo", "animation", "views", "page")
+OF_DEMO = ("demo", "animation", "views", "page", "cleaning")
 
 
 def _frames_at(video: Path, times_s: tuple[float, ...]) -> list[tuple[float, Picture]]:
@@ -511,17 +689,6 @@ def _heat_map(head: Head, share: NDArray[np.float64], points: NDArray[np.float64
             px, py = p[0] * per_mm + width / 2, (top - p[1]) * per_mm
             draw.ellipse([px - 2, py - 2, px + 2, py + 2], fill=(20, 60, 120))
     return np.asarray(picture)
-
-
-def _apart(wanted: NDArray[np.float64], gap: float, end: float) -> NDArray[np.float64]:
-    """Rising numbers near the wanted ones, at least a gap apart and not beyond the end."""
-    found = np.array(wanted)
-    for i in range(1, len(found)):
-        found[i] = max(found[i], found[i - 1] + gap)
-    found[-1] = min(found[-1], end)
-    for i in range(len(found) - 2, -1, -1):
-        found[i] = min(found[i], found[i + 1] - gap)
-    return found
 
 
 def _labelled(picture: Picture, text: str) -> Picture:

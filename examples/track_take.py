@@ -36,8 +36,8 @@ def main() -> None:
     videos = [options.take / f"{name}.mp4" for name in rig]
 
     unlabelled = track_videos(videos, rig).trajectories
-    named, labelling = label_tracks(unlabelled, marker_set, neutral_frame=0)
-    tracks = fill_gaps(named)
+    named = label_tracks(unlabelled, marker_set, neutral_frame=0)
+    tracks = fill_gaps(named.trajectories)
     performance = analyse(tracks, marker_set, neutral_frame=0)
 
     assert tracks.covariances is not None
@@ -51,7 +51,7 @@ def main() -> None:
         views = tracks.n_views[:, m].mean()
         moves = np.linalg.norm(np.nanmax(p, axis=0) - np.nanmin(p, axis=0))
         print(f"{name:16}{views:8.1f}{np.nanmedian(sd):8.3f}{moves:10.2f}")
-    print(f"{labelling.mean_distance_mm:.1f} mm from the average face, {performance.fapu}")
+    print(f"{named.labelling.mean_distance_mm:.1f} mm from the average face, {performance.fapu}")
     write_c3d(folder / "markers.c3d", tracks)
     write_fap(folder / "performance.fap", performance.faps)
 

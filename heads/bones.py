@@ -22,6 +22,7 @@ from ..core.errors import InputError
 from ..core.mesh import Mesh
 from .head import Head
 from .raycast import NO_HIT, RayScene
+from .subdivision import icosphere
 
 Floats = NDArray[np.float64]
 
@@ -174,43 +175,9 @@ def _thickness_points(places: dict[str, Floats]) -> tuple[Floats, Floats]:
 
 
 @cache
-def _sphere() -> tuple[Floats, NDArray[np.int32]]:
-    """Unit directions and triangles of a subdivided icosahedron."""
-    g = (1 + 5**0.5) / 2
-    v: list[tuple[float, float, float]] = [
-        (-1, g, 0),
-        (1, g, 0),
-        (-1, -g, 0),
-        (1, -g, 0),
-        (0, -1, g),
-        (0, 1, g),
-    ]
-    v += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
-    points = np.array(v, dtype=np.float64)
-    triangles = np.array(
-        [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4),
-         (11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8),
-         (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)],
-        dtype=np.int64,
-    )  # fmt: skip
-    for _ in range(_SPHERE_STEPS):
-        edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-        unique, row = np.unique(edges, axis=0, return_inverse=True)
-        middle = len(points) + row.reshape(-1, 3)
-        points = np.concatenate([points, points[unique].mean(axis=1)])
-        a, b, c = triangles.T
-        ab, bc, ca = middle.T
-        triangles = np.concatenate(
-            [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
-        )
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    return points, triangles.astype(np.int32)
-
-
-@cache
 def _averaging() -> sparse.csr_matrix:
     """Means over neighbours on the sphere."""
-    points, t = _sphere()
+    points, t = icosphere(_SPHERE_STEPS)
     n = len(points)
     links = sparse.csr_matrix((np.ones(len(t)), (t[:, 0], t[:, 1])), (n, n))
     links = links + sparse.csr_matrix((np.ones(len(t)), (t[:, 1], t[:, 2])), (n, n))
@@ -234,7 +201,7 @@ def _bridged(values: Floats) -> Floats:
 
 def _skull(head: Head, skin: _Skin) -> tuple[Floats, NDArray[np.int32]]:
     """Cranium and upper jaw, seen from a point inside: nose and ears bridged, orbits hollow."""
-    directions, triangles = _sphere()
+    directions, triangles = icosphere(_SPHERE_STEPS)
     s = skin.size
     ears = (skin.places["po_l"] + skin.places["po_r"]) / 2
     centre = np.array([0.0, ears[1] + 22 * s, ears[2] + 36 * s])

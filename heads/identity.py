@@ -320,6 +320,7 @@ def make_head(identity: Identity, *, texture_px: int = 2048) -> Head:
     vertices = vertices - (eyes["right"].centre + eyes["left"].centre) / 2
     eyes = {side: _eye(template, vertices, f"eye_{side}") for side in ("right", "left")}
     size = np.float32(identity.size)
+    jaw, neck = joints(vertices, identity.size)
     return Head(
         name=identity.name,
         mesh=Mesh(
@@ -332,12 +333,30 @@ def make_head(identity: Identity, *, texture_px: int = 2048) -> Head:
         ),
         feature_points=template_feature_points(),
         eyes=eyes,
-        jaw_pivot=_pivot(template, vertices, _JAW_PIVOT_MM, identity.size),
-        neck_pivot=_pivot(template, vertices, _NECK_PIVOT_MM, identity.size),
+        jaw_pivot=jaw,
+        neck_pivot=neck,
         appearance=make_appearance(template, identity.traits, size=texture_px),
         shape_names=template.arkit_names,
         shapes=template.arkit if size == 1 else size * template.arkit,
         regions=template_regions(),
+    )
+
+
+def joints(
+    vertices: NDArray[np.float64], size: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The pivots of jaw and neck, (3,) mm each, of a head in the template's topology.
+
+    Parameters
+    ----------
+    vertices : (V, 3) float64, mm, head frame
+    size : float
+        Of the head relative to the template.
+    """
+    template = load_template()
+    return (
+        _pivot(template, vertices, _JAW_PIVOT_MM, size),
+        _pivot(template, vertices, _NECK_PIVOT_MM, size),
     )
 
 

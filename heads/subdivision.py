@@ -1,4 +1,4 @@
-"""One step of Catmull-Clark subdivision as a sparse matrix.
+"""Subdivision: one step of Catmull-Clark as a sparse matrix, and spheres.
 
 The matrix applies to positions and, because the scheme is linear, to blendshape offsets too.
 """
@@ -6,6 +6,7 @@ The matrix applies to positions and, because the scheme is linear, to blendshape
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,3 +111,37 @@ def _vertex_rule(
 def triangles_of_quads(quads: NDArray[np.int32]) -> NDArray[np.int32]:
     """Two triangles a quad, (2 Q, 3); quad q gives triangles 2 q and 2 q + 1."""
     return np.stack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]], axis=1).reshape(-1, 3)
+
+
+@cache
+def icosphere(steps: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Unit directions (V, 3) and triangles (F, 3) of an icosahedron subdivided so many times."""
+    g = (1 + 5**0.5) / 2
+    v: list[tuple[float, float, float]] = [
+        (-1, g, 0),
+        (1, g, 0),
+        (-1, -g, 0),
+        (1, -g, 0),
+        (0, -1, g),
+        (0, 1, g),
+    ]
+    v += [(0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]
+    points = np.array(v, dtype=np.float64)
+    triangles = np.array(
+        [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4),
+         (11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8),
+         (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)],
+        dtype=np.int64,
+    )  # fmt: skip
+    for _ in range(steps):
+        edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+        unique, row = np.unique(edges, axis=0, return_inverse=True)
+        middle = len(points) + row.reshape(-1, 3)
+        points = np.concatenate([points, points[unique].mean(axis=1)])
+        a, b, c = triangles.T
+        ab, bc, ca = middle.T
+        triangles = np.concatenate(
+            [np.stack(t, axis=1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))]
+        )
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return points, triangles.astype(np.int32)

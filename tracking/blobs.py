@@ -1,10 +1,10 @@
-"""Sub-pixel centres of bright dots.
+"""Sub-pixel centres of dots, and how sure they are.
 
-A dot is a connected component above a level half-way between skin and dot. Its centre is the
-centroid of what exceeds the local background, a plane fitted to the ring around it, over the
-component and a margin: every partly covered pixel counts in proportion to its coverage, so the
-centroid of a disc is found without bias by the pixel grid, and a slope of the skin's shading does
-not pull it.
+A dot is a connected component above a level half-way between skin and dot. Its centre is that of a
+slanted, blurred disc (from Gaussian to sharp) on sloping skin, fitted to its pixels by least
+squares (`spot_fit`): it is not biased by the pixel grid, the skin's shading or clipping, and as
+precise as the noise allows. Dots that touch are parted. How sure a centre is follows from what the
+fits leave over (`spot_noise`); a dot that something hides in part is known to be unsure.
 """
 
 from __future__ import annotations
@@ -16,11 +16,17 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from .spot_fit import AMP, BACK, SHARP, WXX, WXY, WYY
+from .spot_noise import spot_covariances
+from .spot_profiles import profile_table
+from .spot_scan import scan
+from .spot_windows import CLIPPED, S_AREA, fit_components
 
-MARGIN_PX = 2  # grows a component to the faint pixels at a dot's edge
-RING_PX = 3  # width of the ring beyond the margin that tells the background
-_SD_LARGE_PX, _SD_SMALL, _SD_PER_SKEW, _MAX_SKEW = 0.025, 0.9, 0.3, 5.0
 MAX_BLOBS = 4096  # in one picture; more is not a marker take
+#: `BlobSettings.weights` and `.offset` of luma for markers brighter, and darker, than the skin.
+BRIGHT: tuple[tuple[float, ...], float] = ((1.0,), 0.0)
+DARK: tuple[tuple[float, ...], float] = ((-1.0,), 255.0)
+_SURROUNDINGS, _EVERY = 0.97, 16  # quantile of every so many pixels each way
 _LEVEL_SHARE = 0.38  # below one half: dots seen at a slant cover their pixels only in part
 
 
@@ -34,11 +40,32 @@ class BlobSettings:
         Grey level (luma) above which a pixel belongs to a dot.
     min_area_px, max_area_px : int
         Pixels above the level.
+    clip : float
+        A pixel at or above this level is overexposed: it says only that there is at least as much.
+    weights, offset : floats
+        What makes the markers shine: ``grey = offset + weights · channels``. One weight for luma,
+        `BRIGHT` (1) or `DARK` (-1 and 255); three for RGB.
+    background : float
+        How bright the surroundings were (`background_level`) where the level was found. The level
+        then follows that of each frame in proportion: light that flickers. NaN: it stays.
     """
 
     level: float
-    min_area_px: int = 7
+    min_area_px: int = 4
     max_area_px: int = 2500
+    clip: float = 250.0
+    weights: tuple[float, ...] = (1.0,)
+    offset: float = 0.0
+    background: float = float("nan")
+
+    def __post_init__(self) -> None:
+        if len(self.weights) not in (1, 3):
+            raise ValueError(f"weights must be one (luma) or three (RGB), got {len(self.weights)}")
+
+    @property
+    def needs_colour(self) -> bool:
+        """Whether pictures must be RGB."""
+        return len(self.weights) == 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,34 +75,49 @@ class Blobs:
     Attributes
     ----------
     centres : (N, 2) float64, px
+    covariances : (N, 2, 2) float64, px²
+        Of the centres, as far as one picture tells: sensor noise, coding's noise around the dot,
+        and what hides a part of it.
     areas_px : (N,) float64
-        Pixels above the level.
+        Pixels above the level; of dots that touch, each an equal share.
     contrast : (N,) float64
-        Mean grey levels above the background.
-    skewness : (N,) float64
-        Length of the mean of z ‖z‖² over the whitened dot (Mardia's skewness vector): 0 for any
-        ellipse, large where something hides a part of the dot and so pulls its centre.
+        Grey levels of the dot's light above its background.
+    background : (N,) float64
+        Grey level of what is around it.
+    shapes : (N, 2, 2) float64, px²
+        Variance of the light about the centre: a disc's is a quarter of its squared half axes,
+        blur added.
+    sharpness : (N,) float64
+        From 0, a Gaussian, to 1, a disc with a hard edge.
+    noise : (N,) float64
+        Standard deviation of a pixel in and around the dot, grey levels.
+    is_clipped : (N,) bool
+        Whether a part is overexposed.
     """
 
     centres: NDArray[np.float64]
+    covariances: NDArray[np.float64]
     areas_px: NDArray[np.float64]
     contrast: NDArray[np.float64]
-    skewness: NDArray[np.float64]
+    background: NDArray[np.float64]
+    shapes: NDArray[np.float64]
+    sharpness: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    is_clipped: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.centres)
 
     @property
     def sd_px(self) -> NDArray[np.float64]:
-        """(N,) standard deviation to expect of each coordinate of a centre, px.
+        """(N,) standard deviation to expect of each coordinate of a centre, px."""
+        return np.asarray(np.sqrt((self.covariances[:, 0, 0] + self.covariances[:, 1, 1]) / 2))
 
-        Small dots are less certain; a skew dot is partly hidden, and its centre is off by a share
-        of its radius. The constants were fitted on synthetic dots seen from 0 to 80° and hidden
-        by 0 to 70 %; only their ratios matter to triangulation, which scales them by residuals.
-        """
-        radius = np.sqrt(self.areas_px / np.pi)
-        hidden = _SD_PER_SKEW * radius * np.minimum(self.skewness, _MAX_SKEW)
-        return np.asarray(np.sqrt(_SD_LARGE_PX**2 + (_SD_SMALL / self.areas_px) ** 2 + hidden**2))
+    @property
+    def half_axes_px(self) -> NDArray[np.float64]:
+        """(N, 2) half axes, shorter first, of the ellipse that is blurred to the dot, px."""
+        share = 1 - (1 - self.sharpness) ** 2
+        return np.asarray(2 * np.sqrt(share[:, None] * np.linalg.eigvalsh(self.shapes)))
 
 
 def find_level(image: NDArray[np.uint8]) -> float:
@@ -110,12 +152,85 @@ def find_level(image: NDArray[np.uint8]) -> float:
     return skin + _LEVEL_SHARE * (dots - skin)
 
 
+def shining(image: NDArray[np.uint8], settings: BlobSettings) -> NDArray[np.uint8]:
+    """The grey picture in which the markers shine.
+
+    Parameters
+    ----------
+    image : (h, w) uint8 luma, or (h, w, 3) uint8 RGB as the settings' weights are one or three
+    settings : BlobSettings
+
+    Returns
+    -------
+    (h, w) uint8
+        The picture itself where it shines already.
+
+    Raises
+    ------
+    ValueError
+        If the picture has not as many channels as there are weights.
+    """
+    channels = 1 if image.ndim == 2 else image.shape[2]
+    if channels != len(settings.weights):
+        raise ValueError(
+            f"settings have {len(settings.weights)} weights, the picture {channels} channels"
+        )
+    if image.ndim == 2 and (settings.weights, settings.offset) == BRIGHT:
+        return image
+    if image.ndim == 2 and (settings.weights, settings.offset) == DARK:
+        return np.invert(image)
+    weights = np.array(settings.weights, dtype=np.float32)
+    planes = image.reshape(*image.shape[:2], channels)
+    return np.asarray(_projected(planes, weights, settings.offset), dtype=np.uint8)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _projected(image, weights, offset):  # type: ignore[no-untyped-def]
+    h, w, channels = image.shape
+    out = np.empty((h, w), np.uint8)
+    base = np.float32(offset + 0.5)
+    for y in range(h):
+        for x in range(w):
+            grey = base
+            for c in range(channels):
+                grey += weights[c] * np.float32(image[y, x, c])
+            out[y, x] = np.uint8(min(max(grey, np.float32(0)), np.float32(255)))
+    return out
+
+
+def background_level(image: NDArray[np.uint8]) -> float:
+    """How bright what surrounds the markers is: the 97th percentile of a coarse sample.
+
+    Markers cover less of a picture, and the skin more.
+
+    Parameters
+    ----------
+    image : (h, w) uint8 luma, or (h, w, 3) uint8 RGB, of which green is looked at
+    """
+    sample = image[::_EVERY, ::_EVERY] if image.ndim == 2 else image[::_EVERY, ::_EVERY, 1]
+    counts = np.bincount(sample.ravel(), minlength=256)
+    above = np.cumsum(counts[::-1])[::-1]
+    return float(np.flatnonzero(above >= (1 - _SURROUNDINGS) * counts.sum())[-1])
+
+
+def level_of(image: NDArray[np.uint8], settings: BlobSettings) -> float:
+    """The level for one picture, as filmed: that of the settings, or what follows the light."""
+    if np.isnan(settings.background):
+        return settings.level
+    here = background_level(image)
+    brighter = here / max(settings.background, 1.0)
+    level = settings.offset + (settings.level - settings.offset) * brighter
+    if settings.offset == 0:  # bright markers: overexposed, they have nowhere to go
+        level = min(level, here + _LEVEL_SHARE * (255 - here))
+    return float(np.clip(level, 1, 254))
+
+
 def find_blobs(image: NDArray[np.uint8], settings: BlobSettings) -> Blobs:
     """All dots of a picture.
 
     Parameters
     ----------
-    image : (h, w) uint8
+    image : (h, w) uint8 luma, or (h, w, 3) uint8 RGB as the settings' weights are one or three
     settings : BlobSettings
 
     Raises
@@ -123,146 +238,38 @@ def find_blobs(image: NDArray[np.uint8], settings: BlobSettings) -> Blobs:
     InputError
         If there are more than 4096 components: the level is below the noise or the skin.
     """
-    found, n = _find(
-        image, settings.level, settings.min_area_px, settings.max_area_px, MARGIN_PX, RING_PX,
-        MAX_BLOBS,
-    )  # fmt: skip
+    grey = shining(image, settings)
+    level = level_of(image, settings)
+    components, n = scan(grey, level, MAX_BLOBS)
     if n > MAX_BLOBS:
         raise InputError(
-            f"more than {MAX_BLOBS} bright spots above level {settings.level:.0f}: "
+            f"more than {MAX_BLOBS} bright spots above level {level:.0f}: "
             "are these bright markers on a darker face?"
         )
-    return Blobs(found[:, :2], found[:, 2], found[:, 3], found[:, 4])
+    found = fit_components(
+        grey, components, level, settings.min_area_px, settings.max_area_px,
+        settings.clip, profile_table(),
+    )  # fmt: skip
+    variance = spot_covariances(found)
+    det = found[:, WXX] * found[:, WYY] - found[:, WXY] ** 2
+    return Blobs(
+        centres=found[:, :2],
+        covariances=_symmetric(variance[:, 0], variance[:, 1], variance[:, 2]),
+        areas_px=found[:, S_AREA],
+        contrast=found[:, AMP],
+        background=found[:, BACK],
+        shapes=_symmetric(found[:, WYY] / det, -found[:, WXY] / det, found[:, WXX] / det),
+        sharpness=found[:, SHARP],
+        noise=variance[:, 3],
+        is_clipped=found[:, CLIPPED] > 0,
+    )
 
 
-@njit(cache=True, nogil=True)
-def _find(image, level, min_area, max_area, margin, ring, max_blobs):  # type: ignore[no-untyped-def]
-    h, w = image.shape
-    label = np.zeros((h, w), np.int32)
-    found = np.empty((max_blobs, 5))
-    boxes = np.empty((max_blobs, 4), np.int64)
-    areas = np.empty(max_blobs)
-    stack = np.empty(h * w, np.int64)
-    n = 0
-    for y in range(h):
-        for x in range(w):
-            if image[y, x] <= level or label[y, x]:
-                continue
-            if n == max_blobs:
-                return found[:0], max_blobs + 1
-            n += 1
-            label[y, x] = n
-            stack[0] = y * w + x
-            top, area = 1, 0
-            x0, y0, x1, y1 = x, y, x, y
-            while top:
-                top -= 1
-                py, px = stack[top] // w, stack[top] % w
-                area += 1
-                x0, x1, y0, y1 = min(x0, px), max(x1, px), min(y0, py), max(y1, py)
-                for ny in range(max(py - 1, 0), min(py + 2, h)):
-                    for nx in range(max(px - 1, 0), min(px + 2, w)):
-                        if label[ny, nx] == 0 and image[ny, nx] > level:
-                            label[ny, nx] = n
-                            stack[top] = ny * w + nx
-                            top += 1
-            boxes[n - 1, 0], boxes[n - 1, 1], boxes[n - 1, 2], boxes[n - 1, 3] = x0, y0, x1, y1
-            areas[n - 1] = area
-    k = 0
-    for i in range(n):
-        if areas[i] < min_area or areas[i] > max_area:
-            continue
-        x0, y0, x1, y1 = boxes[i]
-        reach = margin + ring
-        if x0 < reach or y0 < reach or x1 >= w - reach or y1 >= h - reach:
-            continue  # cut by the border: its centroid would be wrong
-        cx, cy, contrast, skew = _centre(image, label, i + 1, x0, y0, x1, y1, margin, ring)
-        if np.isfinite(cx):
-            found[k, 0], found[k, 1], found[k, 2], found[k, 3] = cx, cy, areas[i], contrast
-            found[k, 4] = skew
-            k += 1
-    return found[:k], n
-
-
-@njit(cache=True, nogil=True)
-def _centre(image, label, own, x0, y0, x1, y1, margin, ring):  # type: ignore[no-untyped-def]
-    """Centroid above a background plane, of the pixels within `margin` of component `own`."""
-    reach = margin + ring
-    height, width = y1 - y0 + 1 + 2 * reach, x1 - x0 + 1 + 2 * reach
-    # 0 unused, 1 the dot and its margin, 2 background ring, 3 another dot's
-    kind = np.zeros((height, width), np.int8)
-    for j in range(height):
-        for i in range(width):
-            y, x = y0 - reach + j, x0 - reach + i
-            near_own, near_other = reach + 1.0, reach + 1.0
-            for v in range(max(y - reach, 0), min(y + reach + 1, image.shape[0])):
-                for u in range(max(x - reach, 0), min(x + reach + 1, image.shape[1])):
-                    if label[v, u]:
-                        d = np.sqrt((u - x) ** 2 + (v - y) ** 2)
-                        if label[v, u] == own:
-                            near_own = min(near_own, d)
-                        else:
-                            near_other = min(near_other, d)
-            if near_own <= margin and near_own < near_other:
-                kind[j, i] = 1
-            elif near_own <= reach and near_other > margin:
-                kind[j, i] = 2
-    # background plane a + b x + c y over the ring, by normal equations
-    s = np.zeros((3, 3))
-    r = np.zeros(3)
-    mx, my = (width - 1) / 2, (height - 1) / 2
-    count = 0
-    for j in range(height):
-        for i in range(width):
-            if kind[j, i] == 2:
-                g = image[y0 - reach + j, x0 - reach + i]
-                p = np.array([1.0, i - mx, j - my])
-                for a in range(3):
-                    r[a] += p[a] * g
-                    for b in range(3):
-                        s[a, b] += p[a] * p[b]
-                count += 1
-    plane = np.zeros(3)
-    if count >= 12 and abs(np.linalg.det(s)) > 1e-6:
-        plane[:] = np.linalg.solve(s, r)
-    elif count:
-        plane[0] = r[0] / count
-    weight = np.zeros((height, width))
-    sw, sx, sy, n = 0.0, 0.0, 0.0, 0
-    for j in range(height):
-        for i in range(width):
-            if kind[j, i] == 1:
-                g = image[y0 - reach + j, x0 - reach + i]
-                wgt = g - plane[0] - plane[1] * (i - mx) - plane[2] * (j - my)
-                weight[j, i] = wgt
-                sw += wgt
-                sx += wgt * i
-                sy += wgt * j
-                n += 1
-    if sw <= 0:
-        return np.nan, np.nan, np.nan, np.nan
-    cx, cy = sx / sw, sy / sw
-    xx, xy, yy = 0.0, 0.0, 0.0
-    for j in range(height):
-        for i in range(width):
-            dx, dy = i - cx, j - cy
-            xx += weight[j, i] * dx * dx
-            xy += weight[j, i] * dx * dy
-            yy += weight[j, i] * dy * dy
-    xx, xy, yy = xx / sw, xy / sw, yy / sw
-    det = xx * yy - xy * xy
-    if xx <= 0 or yy <= 0 or det <= 0:  # noise: not the shape of a dot
-        return x0 - reach + cx, y0 - reach + cy, sw / n, np.inf
-    # whiten with the inverse Cholesky factor, then the length of the vector E[z (z.z)]
-    a = 1 / np.sqrt(xx)
-    c = np.sqrt(xx / det)
-    b = -xy / xx * c
-    skew_x, skew_y = 0.0, 0.0
-    for j in range(height):
-        for i in range(width):
-            dx, dy = i - cx, j - cy
-            u, v = a * dx, b * dx + c * dy
-            q = weight[j, i] * (u * u + v * v)
-            skew_x += q * u
-            skew_y += q * v
-    return x0 - reach + cx, y0 - reach + cy, sw / n, np.hypot(skew_x, skew_y) / sw
+def _symmetric(
+    xx: NDArray[np.float64], xy: NDArray[np.float64], yy: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(N, 2, 2) of three (N,)."""
+    matrices = np.empty((len(xx), 2, 2))
+    matrices[:, 0, 0], matrices[:, 1, 1] = xx, yy
+    matrices[:, 0, 1] = matrices[:, 1, 0] = xy
+    return matrices

@@ -1,35 +1,32 @@
-"""Names for tracked markers: the constellation of the neutral face, then re-acquisition."""
+"""Names for tracked markers: the constellation of the neutral face, then the face in motion."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cache
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial.transform import Rotation
 
-from ..core.arrays import readonly
 from ..core.errors import InputError
 from ..core.markers import MarkerSet
-from ..core.trajectories import Trajectories
-from ..heads.identity import Identity, make_head
-from ..heads.marker_sets import glue_markers
-from .rigid_fit import fit_rigid, fit_similarity
+from ..core.person import Person
+from ..core.trajectories import Source, Trajectories
+from .constellation import Constellation, find_constellation
+from .face_variation import anyone
+from .face_variation import template_positions as template_positions
+from .person_model import meet
+from .rigid_fit import fit_similarity
+from .track_labels import TrackLabels, label_over_time
+from .track_pieces import NOBODY
 
-_N_STARTS = 120  # rotations tried; the farthest turn from the nearest is then about 30°
-_ITERATIONS = 12
-_AFFINE_ROUNDS = 4
-_MISSING_MM = 18.0  # what it costs to leave a marker unmatched, mm of distance
-_MISSING_REFINED_MM = 28.0  # the same once most are named: long chins stand farther off
-#: The fit must be this good on average, after an affine adaptation to the person.
-MAX_MEAN_DISTANCE_MM = 9.0
-_SCALES = (0.6, 1.6)  # of a face against the average one
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
 _NEUTRAL_WINDOW = 10  # frames; the face is still around the neutral one
 _SAME_PLACE_MM = 3.0  # no two markers of a still face are this close
-_REACQUIRE_MM = 6.0
-MIN_LABELLED = 6
+_N_TRIES = 6  # frames at which a person who is known is looked for
+_SHORTEST_REPAIR = 2  # frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,199 +36,257 @@ class Labelling:
     Attributes
     ----------
     track_of_label : mapping from label to index of the track
+        Of the names that are certain.
     mean_distance_mm : float
-        Between the neutral markers and the template adapted to them.
+        Between the neutral markers and the average head's, laid over them.
     scale : float
         Of the person against the average head.
-    world_from_template : (3, 3), (3,)
-        Rotation and translation of the average head to the neutral markers.
+    rotation : (3, 3); translation : (3,)
+        ``x = scale · rotation · p + translation`` of the average head to the neutral markers.
+    refused : tuple of str
+        Labels whose marker could not be told for certain.
     """
 
     track_of_label: dict[str, int]
     mean_distance_mm: float
     scale: float
-    rotation: NDArray[np.float64]
-    translation: NDArray[np.float64]
+    rotation: Floats
+    translation: Floats
+    refused: tuple[str, ...] = ()
 
 
-@cache
-def template_positions(marker_set: MarkerSet) -> NDArray[np.float64]:
-    """Where a set's markers sit on the average head, (M, 3) mm, head frame; read-only."""
-    head = make_head(Identity("average"))
-    return readonly(
-        glue_markers(head, marker_set).at(head.mesh.vertices), (None, 3), "template positions"
-    )
+@dataclass(frozen=True)
+class Repair:
+    """What was put right in the tracks.
+
+    Attributes
+    ----------
+    kind : str
+        ``"cut"``: a track went from one marker to another; ``"rejected"``: samples that fit no
+        marker, or not certainly, are not delivered (two or more in a row); ``"ghost"``: a track
+        that is nobody's at all.
+    track : str
+        Name of the track.
+    first_frame, last_frame : int
+        Of a cut, where the old name ends and the new one begins; of what is rejected, its span.
+    before, after : str
+        Labels of both sides of a cut; "" where the track is nobody's there.
+    """
+
+    kind: str
+    track: str
+    first_frame: int
+    last_frame: int
+    before: str = ""
+    after: str = ""
 
 
-def label_constellation(points: NDArray[np.float64], marker_set: MarkerSet) -> Labelling:
-    """Name the markers of one instant, whatever the head's place, turn and size.
+@dataclass(frozen=True, eq=False)
+class Labelled:
+    """Tracks with the names of a marker set.
 
-    The average head's markers are laid over the points from 120 rotations spread over all of
-    SO(3); from each, assignment (Hungarian, leaving a marker out costs 18 mm, at last 28) and
-    similarity fit alternate. The best result is refined with an affine fit, which takes up most
-    of what makes this person's face unlike the average one. Mirror images are excluded
-    throughout.
+    Attributes
+    ----------
+    trajectories : Trajectories
+        One a label, in the set's order; missing where the marker was not seen, or not for certain.
+    person : Person
+        Whose face it is: hand it in again for the next chunk or take.
+    labelling : Labelling
+        Of the frame that names spread from.
+    repairs : tuple of Repair
+        In order of time.
+    """
+
+    trajectories: Trajectories
+    person: Person
+    labelling: Labelling
+    repairs: tuple[Repair, ...]
+
+
+def label_constellation(points: Floats, marker_set: MarkerSet) -> Labelling:
+    """Name the markers of a face at rest, whatever its place, turn, size and owner.
+
+    Names that are not certain are left out (`constellation.find_constellation`).
 
     Parameters
     ----------
     points : (N, 3) float64, mm
-        Without NaN.
+        Without NaN; may hold points that are nobody's.
     marker_set : MarkerSet
 
     Raises
     ------
     InputError
-        If fewer than 6 points are given, or the best fit is no face.
+        If fewer than 6 points are given, or they are no face.
     """
-    if len(points) < MIN_LABELLED:
-        raise InputError(
-            f"{len(points)} markers are visible in the neutral frame: at least {MIN_LABELLED} are "
-            f"needed to tell which is which of {len(marker_set.markers)}"
-        )
-    template = template_positions(marker_set)
-    best: tuple[float, NDArray[np.int64], NDArray[np.int64]] | None = None
-    for R0 in _spread_rotations(_N_STARTS):
-        rows, columns, cost = _align(template, points, R0)
-        if best is None or cost < best[0]:
-            best = (cost, rows, columns)
-    assert best is not None
-    _, rows, columns = best
-    rows, columns, distance = _refine(template, points, rows, columns)
-    mean = float(distance.mean()) if len(distance) else np.inf
-    fits = len(rows) >= MIN_LABELLED and mean <= MAX_MEAN_DISTANCE_MM
-    if fits:
-        s, R, t = fit_similarity(template[rows], points[columns])
-        fits = _SCALES[0] <= s <= _SCALES[1]  # False for NaN: points in one place or on a line
-    if not fits:
-        raise InputError(
-            f"the markers of the neutral frame do not look like marker set {marker_set.name}: "
-            f"{len(rows)} of {len(marker_set.markers)} fit, {mean:.1f} mm off on average"
-        )
-    labels = {marker_set.labels[m]: int(n) for m, n in zip(rows, columns, strict=True)}
-    return Labelling(labels, mean, s, R, t)
+    found = find_constellation(points, anyone(marker_set, at_rest=True))
+    return _labelling(points, found, marker_set)
 
 
-def _spread_rotations(n: int) -> NDArray[np.float64]:
-    """Super-Fibonacci spirals (Alexa 2022): n rotations evenly over SO(3)."""
-    s = np.arange(n) + 0.5
-    r, q = np.sqrt(s / n), np.sqrt(1 - s / n)
-    a, b = 2 * np.pi * s / np.sqrt(2.0), 2 * np.pi * s / 1.533751168755204288118041
-    quaternions = np.stack([r * np.sin(a), r * np.cos(a), q * np.sin(b), q * np.cos(b)], axis=1)
-    return np.asarray(Rotation.from_quat(quaternions).as_matrix())
-
-
-def _assign(
-    template: NDArray[np.float64], points: NDArray[np.float64], missing_mm: float = _MISSING_MM
-) -> tuple[NDArray[np.int64], NDArray[np.int64], float]:
-    """Best pairs; pairs farther apart than the price of a missing marker are dropped."""
-    d = np.linalg.norm(template[:, None] - points[None], axis=2)
-    capped = np.minimum(d, missing_mm)
-    rows, columns = linear_sum_assignment(capped)
-    near = d[rows, columns] < missing_mm
-    return rows[near], columns[near], float(capped[rows, columns].sum())
-
-
-def _align(
-    template: NDArray[np.float64], points: NDArray[np.float64], R: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], float]:
-    size = [np.sqrt(((x - x.mean(axis=0)) ** 2).sum(axis=1).mean()) for x in (template, points)]
-    s = size[1] / size[0]
-    t = points.mean(axis=0) - s * R @ template.mean(axis=0)
-    rows, columns, cost = _assign(s * template @ R.T + t, points)
-    for _ in range(_ITERATIONS):
-        if len(rows) < 4:
-            break
-        s, R, t = fit_similarity(template[rows], points[columns])
-        if np.isnan(R).any():  # the pairs lie on a line
-            break
-        s = float(np.clip(s, 0.7, 1.4))
-        t = points[columns].mean(axis=0) - s * R @ template[rows].mean(axis=0)
-        new_rows, new_columns, new_cost = _assign(s * template @ R.T + t, points)
-        if new_cost >= cost - 1e-9:
-            break
-        rows, columns, cost = new_rows, new_columns, new_cost
-    return rows, columns, cost
-
-
-def _refine(
-    template: NDArray[np.float64],
-    points: NDArray[np.float64],
-    rows: NDArray[np.int64],
-    columns: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
-    """Adapt the template to the person (affine), assign anew."""
-    for _ in range(_AFFINE_ROUNDS):
-        if len(rows) < 8:
-            break
-        A = np.column_stack([template[rows], np.ones(len(rows))])
-        M, *_ = np.linalg.lstsq(A, points[columns], rcond=None)
-        warped = np.column_stack([template, np.ones(len(template))]) @ M
-        rows, columns, _ = _assign(warped, points, _MISSING_REFINED_MM)
-    else:
-        return rows, columns, np.linalg.norm(warped[rows] - points[columns], axis=1)
-    s, R, t = fit_similarity(template[rows], points[columns])
-    warped = s * template @ R.T + t
-    return rows, columns, np.linalg.norm(warped[rows] - points[columns], axis=1)
+def _labelling(points: Floats, found: Constellation, marker_set: MarkerSet) -> Labelling:
+    rows = np.flatnonzero(found.point_of_label >= 0)
+    template = template_positions(marker_set)[rows]
+    at = points[found.point_of_label[rows]]
+    s, R, t = fit_similarity(template, at)
+    distance = np.linalg.norm(s * template @ R.T + t - at, axis=1).mean()
+    labels = marker_set.labels
+    return Labelling(
+        {labels[m]: int(found.point_of_label[m]) for m in rows},
+        float(distance),
+        s,
+        R,
+        t,
+        tuple(labels[m] for m in np.flatnonzero(found.refused >= 0)),
+    )
 
 
 def label_tracks(
-    tracks: Trajectories, marker_set: MarkerSet, *, neutral_frame: int = 0
-) -> tuple[Trajectories, Labelling]:
+    tracks: Trajectories,
+    marker_set: MarkerSet,
+    *,
+    neutral_frame: int = 0,
+    person: Person | None = None,
+) -> Labelled:
     """Give unlabelled tracks the names of a marker set.
 
-    Tracks alive at the neutral frame, or within 10 frames of it, are named by their constellation.
-    A track that begins later (or ended earlier) continues a marker that is missing then: the
-    head's rigid motion, from all markers named so far, carries it to the neutral head, where it
-    must lie within 6 mm of the place at which a missing marker was last or next seen; the nearest
-    wins. Others are left out.
+    Without a person, tracks alive at the neutral frame, or within 10 frames of it, are named by
+    their constellation. With one, the frame that shows most markers is named as this person's.
+    Names spread from there over the take: whose a sample is, the other markers tell, by the
+    Gaussian of the face (`face_gaussian`), which is learnt on the way. Tracks that go from marker
+    to marker are cut; what fits no marker, or more than one, is not delivered.
+
+    Parameters
+    ----------
+    tracks : Trajectories
+        Unlabelled.
+    marker_set : MarkerSet
+    neutral_frame : int
+        At which the face is at rest; not used with a person.
+    person : Person, optional
+        Of another chunk or take, with the same markers glued to the same places.
 
     Raises
     ------
     InputError
-        As `label_constellation`; or if the neutral frame is outside the take.
+        As `label_constellation`; if the neutral frame is outside the take, or the person wore
+        another set.
     """
     T = len(tracks.time_s)
     if not 0 <= neutral_frame < T:
         raise InputError(f"the neutral frame {neutral_frame} is outside the take of {T} frames")
-    seen = ~np.isnan(tracks.positions[..., 0])
-    nearest = _nearest_frames(seen, neutral_frame)
-    alive = np.flatnonzero(np.abs(nearest - neutral_frame) <= _NEUTRAL_WINDOW)
-    alive = _without_pieces(tracks.positions, nearest, alive, neutral_frame)
-    labelling = label_constellation(tracks.positions[nearest[alive], alive], marker_set)
-    owner = {label: [int(alive[i])] for label, i in labelling.track_of_label.items()}
-    taken = {rows[0] for rows in owner.values()}
-    neutral = {n: tracks.positions[nearest[rows[0]], rows[0]] for n, rows in owner.items()}
-    starts = seen.argmax(axis=0)
-    order = sorted(
-        set(range(len(tracks.names))) - taken, key=lambda m: abs(starts[m] - neutral_frame)
+    is_stranger = person is None
+    if person is None:
+        frame = neutral_frame
+        labelling, first, person = _meet(tracks, marker_set, frame)
+    else:
+        person.check_wears(marker_set)
+        person = person.select(marker_set.labels)
+        labelling, first, frame = _recognise(tracks, marker_set, person)
+    labels = label_over_time(np.asarray(tracks.positions), frame, first, person)
+    named = _merge(tracks, labels.label, marker_set.labels)
+    met = labels.person
+    if is_stranger:
+        met = _with_late_names(met, named, labelling, frame)
+    return Labelled(
+        named,
+        met,
+        labelling,
+        _repairs(tracks, labels, marker_set.labels),
     )
-    for track in order:
-        label = _continued_marker(tracks, seen, owner, neutral, track, marker_set)
-        if label is not None:
-            owner.setdefault(label, []).append(track)
-    named = {label: alive[i] for label, i in labelling.track_of_label.items()}
-    labelling = Labelling(
-        {k: int(v) for k, v in named.items()},
+
+
+def _meet(
+    tracks: Trajectories, marker_set: MarkerSet, frame: int
+) -> tuple[Labelling, Ints, Person]:
+    """Name the face at rest; tracks' labels there, (K,), and the person."""
+    seen = ~np.isnan(tracks.positions[..., 0])
+    nearest = _nearest_frames(seen, frame)
+    is_near = np.abs(nearest - frame) <= _NEUTRAL_WINDOW
+    alive = np.flatnonzero(is_near & seen[nearest, np.arange(len(nearest))])
+    alive = _without_pieces(tracks.positions, nearest, alive, frame)
+    points = tracks.positions[nearest[alive], alive]
+    labelling = label_constellation(points, marker_set)
+    at = np.full((len(marker_set.labels), 3), np.nan)
+    first = np.full(len(tracks.names), NOBODY, dtype=np.int64)
+    for label, i in labelling.track_of_label.items():
+        m = marker_set.labels.index(label)
+        at[m] = points[i]
+        first[alive[i]] = m
+    person = meet((at - labelling.translation) @ labelling.rotation, marker_set, labelling.scale)
+    return _of_tracks(labelling, alive), first, person
+
+
+def _with_late_names(
+    person: Person, named: Trajectories, labelling: Labelling, frame: int
+) -> Person:
+    """The face at rest, with markers that were seen there but got their names only later."""
+    near = slice(max(0, frame - _NEUTRAL_WINDOW), frame + _NEUTRAL_WINDOW + 1)
+    p = named.positions[near]
+    neutral = np.array(person.neutral)
+    for m, label in enumerate(person.labels):
+        seen = np.flatnonzero(~np.isnan(p[:, m, 0]))
+        if label in labelling.track_of_label or not len(seen):
+            continue
+        nearest = seen[np.abs(seen + near.start - frame).argmin()]
+        neutral[m] = (p[nearest, m] - labelling.translation) @ labelling.rotation
+    return replace(person, neutral=neutral)
+
+
+def _recognise(
+    tracks: Trajectories, marker_set: MarkerSet, person: Person
+) -> tuple[Labelling, Ints, int]:
+    """Name the frame that shows a person best; tracks' labels there, and which frame."""
+    n_seen = (~np.isnan(tracks.positions[..., 0])).sum(axis=1)
+    tried = _full_frames(n_seen)
+    for i, frame in enumerate(tried):
+        here = np.flatnonzero(~np.isnan(tracks.positions[frame, :, 0]))
+        points = tracks.positions[frame, here]
+        try:
+            found = find_constellation(points, person)
+            labelling = _labelling(points, found, marker_set)
+        except InputError:
+            if i + 1 == len(tried):
+                raise
+            continue
+        first = np.full(len(tracks.names), NOBODY, dtype=np.int64)
+        for m in np.flatnonzero(found.point_of_label >= 0):
+            first[here[found.point_of_label[m]]] = m
+        return _of_tracks(labelling, here), first, frame
+    raise AssertionError("at least one frame was tried")
+
+
+def _full_frames(n_seen: Ints) -> list[int]:
+    """Frames that show many markers, spread over the take, the fullest first."""
+    found: list[int] = []
+    apart = max(1, len(n_seen) // (2 * _N_TRIES))
+    for frame in np.argsort(-n_seen, kind="stable"):
+        if all(abs(int(frame) - f) >= apart for f in found):
+            found.append(int(frame))
+        if len(found) == _N_TRIES:
+            break
+    return found
+
+
+def _of_tracks(labelling: Labelling, tracks: Ints) -> Labelling:
+    """The same with indices of tracks for those of points."""
+    owners = {label: int(tracks[i]) for label, i in labelling.track_of_label.items()}
+    return Labelling(
+        owners,
         labelling.mean_distance_mm,
         labelling.scale,
         labelling.rotation,
         labelling.translation,
+        labelling.refused,
     )
-    return _merge(tracks, owner, marker_set), labelling
 
 
-def _nearest_frames(seen: NDArray[np.bool_], frame: int) -> NDArray[np.int64]:
-    """For each track, (M,), its frame nearest to one; every track is seen at some time."""
+def _nearest_frames(seen: NDArray[np.bool_], frame: int) -> Ints:
+    """For each track, (K,), its frame nearest to one; any frame if it is never seen."""
     distance = np.where(seen, np.abs(np.arange(len(seen)) - frame)[:, None], len(seen))
     return np.asarray(distance.argmin(axis=0))
 
 
-def _without_pieces(
-    positions: NDArray[np.float64],
-    nearest: NDArray[np.int64],
-    alive: NDArray[np.int64],
-    frame: int,
-) -> NDArray[np.int64]:
+def _without_pieces(positions: Floats, nearest: Ints, alive: Ints, frame: int) -> Ints:
     """Of several tracks in one place, pieces of one marker's, the one nearest to the frame."""
     kept: list[int] = []
     for m in sorted(alive, key=lambda m: abs(int(nearest[m]) - frame)):
@@ -241,91 +296,52 @@ def _without_pieces(
     return np.array(sorted(kept), dtype=np.int64)
 
 
-def _continued_marker(
-    tracks: Trajectories,
-    seen: NDArray[np.bool_],
-    owner: dict[str, list[int]],
-    neutral: dict[str, NDArray[np.float64]],
-    track: int,
-    marker_set: MarkerSet,
-) -> str | None:
-    """The missing marker that a track continues, if any."""
-    frames = np.flatnonzero(seen[:, track])
-    first, last = frames[0], frames[-1]
-    best: tuple[float, str] | None = None
-    for label in marker_set.labels:
-        rows = owner.get(label, [])
-        if any(seen[first : last + 1, r].any() for r in rows):
-            continue  # it is seen elsewhere at that time
-        for mine, theirs in _gap_ends(seen, rows, int(first), int(last)):
-            here = _in_neutral_head(tracks, owner, neutral, mine, track)
-            there = _in_neutral_head(tracks, owner, neutral, theirs[0], theirs[1])
-            distance = float(np.linalg.norm(here - there))
-            if distance < _REACQUIRE_MM and (best is None or distance < best[0]):
-                best = (distance, label)
-    return best[1] if best else None
-
-
-def _gap_ends(
-    seen: NDArray[np.bool_], rows: list[int], first: int, last: int
-) -> list[tuple[int, tuple[int, int]]]:
-    """Pairs (frame of the track, (frame, row) of the marker) on both sides of the gaps."""
-    found = []
-    before = [(int(np.flatnonzero(seen[:first, r])[-1]), r) for r in rows if seen[:first, r].any()]
-    after = [
-        (int(np.flatnonzero(seen[last + 1 :, r])[0]) + last + 1, r)
-        for r in rows
-        if seen[last + 1 :, r].any()
-    ]
-    if before:
-        found.append((first, max(before)))
-    if after:
-        found.append((last, min(after)))
-    return found
-
-
-def _in_neutral_head(
-    tracks: Trajectories,
-    owner: dict[str, list[int]],
-    neutral: dict[str, NDArray[np.float64]],
-    frame: int,
-    track: int,
-) -> NDArray[np.float64]:
-    """A track's position at a frame, carried by the head's rigid motion to the neutral head."""
-    source, target = [], []
-    for label, rest in neutral.items():
-        for row in owner[label]:
-            p = tracks.positions[frame, row]
-            if not np.isnan(p[0]):
-                source.append(rest)
-                target.append(p)
-    R, t = fit_rigid(np.array(source).reshape(-1, 3), np.array(target).reshape(-1, 3))
-    return np.asarray((tracks.positions[frame, track] - t) @ R)
-
-
-def _merge(
-    tracks: Trajectories, owner: dict[str, list[int]], marker_set: MarkerSet
-) -> Trajectories:
+def _merge(tracks: Trajectories, label: Ints, labels: tuple[str, ...]) -> Trajectories:
     """One trajectory a label, in the set's order; all NaN where a marker was never seen."""
-    T, M = len(tracks.time_s), len(marker_set.labels)
-    assert tracks.covariances is not None
-    assert tracks.residual_px is not None
-    assert tracks.n_views is not None
-    positions = np.full((T, M, 3), np.nan)
-    covariances = np.full((T, M, 3, 3), np.nan)
-    residual, n_views = np.full((T, M), np.nan), np.zeros((T, M), np.int32)
-    for m, label in enumerate(marker_set.labels):
-        for row in owner.get(label, []):
-            there = ~np.isnan(tracks.positions[:, row, 0])
-            positions[there, m] = tracks.positions[there, row]
-            covariances[there, m] = tracks.covariances[there, row]
-            residual[there, m] = tracks.residual_px[there, row]
-            n_views[there, m] = tracks.n_views[there, row]
-    return Trajectories(
-        tracks.time_s,
-        marker_set.labels,
-        positions,
-        covariances,
-        residual_px=residual,
-        n_views=n_views,
-    )
+    T, M = len(tracks.time_s), len(labels)
+    t, k = np.nonzero(label >= 0)
+    m = label[t, k]
+
+    def placed(values: NDArray[Any], empty: float) -> NDArray[Any]:
+        found = np.full((T, M, *values.shape[2:]), empty, dtype=values.dtype)
+        found[t, m] = values[t, k]
+        return found
+
+    given: dict[str, Any] = {
+        "positions": placed(tracks.positions, np.nan),
+        "source": placed(tracks.source, Source.MISSING),
+    }
+    if tracks.covariances is not None:
+        given["covariances"] = placed(tracks.covariances, np.nan)
+    if tracks.residual_px is not None:
+        given["residual_px"] = placed(tracks.residual_px, np.nan)
+    if tracks.n_views is not None:
+        given["n_views"] = placed(tracks.n_views, 0)
+    return Trajectories(tracks.time_s, labels, **given)
+
+
+def _repairs(
+    tracks: Trajectories, found: TrackLabels, labels: tuple[str, ...]
+) -> tuple[Repair, ...]:
+    """Where a track changes its name, and where it loses it."""
+    repairs: list[Repair] = []
+    for k, name in enumerate(tracks.names):
+        frames = np.flatnonzero(~np.isnan(tracks.positions[:, k, 0]))
+        own = found.label[frames, k]
+        if not len(frames):
+            continue
+        if not (own >= 0).any():
+            repairs.append(Repair("ghost", name, int(frames[0]), int(frames[-1])))
+            continue
+        before, ended = "", 0
+        for run in np.split(np.arange(len(own)), np.flatnonzero(np.diff(own)) + 1):
+            first, last = int(frames[run[0]]), int(frames[run[-1]])
+            if own[run[0]] < 0:
+                if len(run) >= _SHORTEST_REPAIR:
+                    repairs.append(Repair("rejected", name, first, last, before))
+                continue
+            label = labels[own[run[0]]]
+            if before not in ("", label):
+                repairs.append(Repair("cut", name, ended, first, before, label))
+            before, ended = label, last
+    return tuple(sorted(repairs, key=lambda r: (r.first_frame, r.track)))

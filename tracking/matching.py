@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.rig import Rig
+from .lenses import undistort
 from .triangulation import MIN_VIEWS, Points, Views, triangulate
 
 #: A match of two views only is kept if no other match of either dot comes near this fit.
@@ -79,6 +81,19 @@ def match_views(
                 take(h)
     keep = np.array(chosen, dtype=np.int64)
     return hypotheses[keep], points.select(keep)
+
+
+def match_pixels(
+    rig: Rig,
+    centres: Sequence[NDArray[np.float64]],
+    sd_px: Sequence[NDArray[np.float64]],
+    tolerance_px: float,
+) -> NDArray[np.int64]:
+    """`match_views` of pixels, as `capture.spot_matching.MatchSpots` says: (K, C) rows of dots."""
+    cameras = [rig[name] for name in rig]
+    normalised = [undistort(c, p) for c, p in zip(cameras, centres, strict=True)]
+    rows, _ = match_views(Views.of(cameras), normalised, sd_px, tolerance_px=tolerance_px)
+    return rows
 
 
 def _is_free(row: NDArray[np.int64], taken: list[NDArray[np.bool_]]) -> bool:

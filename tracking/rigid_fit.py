@@ -7,19 +7,25 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 
+Floats = NDArray[np.float64]
+
 _COLLINEAR = 1e-3  # ratio of the second to the first singular value
 
 
 def fit_rigid(
-    source: NDArray[np.float64], target: NDArray[np.float64]
+    source: NDArray[np.float64],
+    target: NDArray[np.float64],
+    weights: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Least-squares rotations and translations, ``target ≈ R source + t``.
+    """Weighted least-squares rotations and translations, ``target ≈ R source + t``.
 
     Parameters
     ----------
     source : (N, 3) float64, mm
     target : (..., N, 3) float64, mm
         Rows with NaN are left out; sets with fewer than three points, or collinear ones, give NaN.
+    weights : (..., N) or (N,) float64, optional
+        What each point counts, 0 or more; alike unless given.
 
     Returns
     -------
@@ -30,19 +36,22 @@ def fit_rigid(
     Umeyama 1991, eqs 34 to 42.
     """
     flat = target.reshape(-1, *target.shape[-2:])
-    R, t = np.full((len(flat), 3, 3), np.nan), np.full((len(flat), 3), np.nan)
-    for i, q in enumerate(flat):
-        known = ~np.isnan(q[:, 0])
-        if known.sum() < 3:
-            continue
-        p, g = source[known], q[known]
-        pc, gc = p.mean(axis=0), g.mean(axis=0)
-        U, S, Vt = np.linalg.svd((g - gc).T @ (p - pc))
-        if not S[1] > _COLLINEAR * S[0]:  # of points all in one place, both are 0
-            continue
-        D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-        R[i] = U @ D @ Vt
-        t[i] = gc - R[i] @ pc
+    known = ~np.isnan(flat[..., 0]) & ~np.isnan(source[:, 0])
+    w = np.ones(flat.shape[:2]) if weights is None else np.broadcast_to(weights, target.shape[:-1])
+    w = np.where(known, w.reshape(known.shape), 0.0)
+    p, g = np.where(known[..., None], source, 0.0), np.where(known[..., None], flat, 0.0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        w = w / w.sum(axis=1, keepdims=True)
+    pc, gc = np.einsum("kn,kni->ki", w, p), np.einsum("kn,kni->ki", w, g)
+    H = np.einsum("kn,kni,knj->kij", w, g - gc[:, None], p - pc[:, None], optimize=True)
+    R = np.full((len(flat), 3, 3), np.nan)
+    ok = ((w > 0).sum(axis=1) >= 3) & np.isfinite(H).all(axis=(1, 2))
+    U, S, Vt = np.linalg.svd(H[ok])
+    D = np.ones_like(S)
+    D[:, 2] = np.sign(np.linalg.det(U @ Vt))
+    spread = S[:, 1] > _COLLINEAR * S[:, 0]  # of points all in one place, both are 0
+    R[np.flatnonzero(ok)[spread]] = ((U * D[:, None]) @ Vt)[spread]
+    t = gc - np.einsum("kij,kj->ki", R, pc)
     return R.reshape((*target.shape[:-2], 3, 3)), t.reshape((*target.shape[:-2], 3))
 
 

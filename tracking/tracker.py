@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ..core.rig import Rig
-from ..core.trajectories import Trajectories
+from .lenses import undistort
 from .matching import match_views
+from .prediction import Prediction
+from .track_records import Dots, Followed, TrackRecords
 from .triangulation import Points, Views, triangulate
+
+__all__ = [
+    "MAX_COAST", "MIN_TRACK_FRAMES", "Followed", "FrameDots", "Tracker", "TrackerSettings",
+    "centres_of_spheres", "follow_markers",
+]  # fmt: skip
+
+Floats = NDArray[np.float64]
 
 #: A track not seen for this many frames ends; a marker that comes back begins a new one.
 MAX_COAST = 6
 MIN_TRACK_FRAMES = 4  # shorter ones are ghosts
 _CLOSE_GATE_PX = 3.0  # around the projection of a point already found
 _SAME_MM = 1.5  # no two dots are this close
-_REVIVE_MM = 8.0  # a marker found anew this near to a missed track is that track's
-_MIN_SCALE = 1e-4  # of the dots' variances; noise-free footage leaves no residuals
+_REVIVE_MM = 4.0  # a marker found anew this near to a missed track is that track's
 
 
 @dataclass(frozen=True)
@@ -35,10 +43,14 @@ class TrackerSettings:
     tolerance_px : float or None
         Largest reprojection error of a view that is used. None finds it from the footage: six
         times the median error so far, from 0.25 px (a perfect rig) to 1.2 px.
+    sphere_radius_mm : float
+        Of markers that are spheres: their pictures' middles lie farther out than their centres.
+        0 for flat dots.
     """
 
     gate_px: float = 9.0
     tolerance_px: float | None = None
+    sphere_radius_mm: float = 0.0
 
 
 _TOLERANCE_RANGE_PX = (0.25, 1.2)
@@ -65,80 +77,38 @@ class _Tolerance:
 
 @dataclass(frozen=True, eq=False)
 class FrameDots:
-    """The dots of one instant: per camera (N_c, 2) centres and (N_c,) standard deviations, px."""
-
-    time_s: float
-    centres: tuple[NDArray[np.float64], ...]
-    sd_px: tuple[NDArray[np.float64], ...]
-
-
-@dataclass(eq=False)
-class _Track:
-    start: int
-    positions: list[NDArray[np.float64]] = field(default_factory=list)
-    information: list[NDArray[np.float64]] = field(default_factory=list)
-    misfit: list[float] = field(default_factory=list)
-    residual: list[float] = field(default_factory=list)
-    n_views: list[int] = field(default_factory=list)
-    unseen: int = 0
-    seen_at: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    last: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-    velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
-
-    def predict(self) -> NDArray[np.float64]:
-        return self.last + self.velocity
-
-    def see(self, points: Points, row: int) -> None:
-        p = points.positions[row]
-        if self.positions:
-            step = (p - self.seen_at) / (self.unseen + 1)
-            self.velocity = step if len(self.positions) == 1 else 0.3 * self.velocity + 0.7 * step
-        self.last, self.seen_at, self.unseen = p, p, 0
-        self.positions.append(p)
-        self.information.append(points.information[row])
-        self.misfit.append(float(points.misfit[row]))
-        self.residual.append(float(points.residual_px[row]))
-        self.n_views.append(int(points.used[row].sum()))
-
-    def revive(self, points: Points, row: int) -> None:
-        """See after all what was missed in this frame."""
-        for record in (
-            self.positions, self.information, self.misfit, self.residual, self.n_views,
-        ):  # fmt: skip
-            record.pop()
-        self.unseen -= 1
-        self.see(points, row)
-
-    def distance_mm(self, p: NDArray[np.float64]) -> float:
-        """From where it should be, or from where it was last seen: lips turn round in a frame."""
-        return float(min(np.linalg.norm(p - self.last), np.linalg.norm(p - self.seen_at)))
-
-    def miss(self) -> None:
-        self.unseen += 1
-        self.last = self.last + self.velocity
-        self.velocity = 0.7 * self.velocity
-        self.positions.append(np.full(3, np.nan))
-        self.information.append(np.full((3, 3), np.nan))
-        self.misfit.append(np.nan)
-        self.residual.append(np.nan)
-        self.n_views.append(0)
-
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """What the tracker found.
+    """The dots of one instant, by all cameras.
 
     Attributes
     ----------
-    trajectories : Trajectories
-        Unlabelled.
-    share_used : (C,) float64
-        Of each camera's dots, how many belong to a marker that another camera sees too; NaN for a
-        camera without dots.
+    time_s : float
+    centres : C arrays (N_c, 2) float64, px
+        None of a camera that lost the frame.
+    sd_px : C arrays (N_c,) float64
+        Standard deviation of each coordinate.
+    stamps_s : tuple of C floats
+        What the cameras' files say of when that was; NaN for a camera that lost the frame. Empty
+        where there are no files.
     """
 
-    trajectories: Trajectories
-    share_used: NDArray[np.float64]
+    time_s: float
+    centres: tuple[Floats, ...]
+    sd_px: tuple[Floats, ...]
+    stamps_s: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Sighted:
+    """The dots of one instant without lens distortion, and which of them are still free."""
+
+    centres: tuple[Floats, ...]
+    sd_px: tuple[Floats, ...]
+
+    def only(self, free: list[NDArray[np.bool_]]) -> _Sighted:
+        return _Sighted(
+            tuple(d[f] for d, f in zip(self.centres, free, strict=True)),
+            tuple(d[f] for d, f in zip(self.sd_px, free, strict=True)),
+        )
 
 
 def follow_markers(
@@ -146,9 +116,7 @@ def follow_markers(
 ) -> Followed:
     """Track all markers, unlabelled: one name each for as long as it is followed.
 
-    Each frame: predict every track by constant velocity, assign dots to predictions camera by
-    camera (Hungarian method within a gate), triangulate robustly; dots that no track took are
-    matched over all views and begin new tracks.
+    `Tracker` says how.
 
     Parameters
     ----------
@@ -162,167 +130,164 @@ def follow_markers(
     Followed
         Names ``m000``, ``m001``, …; covariances scaled by the residuals found.
     """
-    settings = settings or TrackerSettings()
-    cameras = [rig[name] for name in rig]
-    views = Views.of(cameras)
-    tolerance = _Tolerance(settings.tolerance_px)
-    live: list[_Track] = []
-    done: list[_Track] = []
-    times: list[float] = []
-    n_dots, n_free = (np.zeros(len(cameras), dtype=np.int64) for _ in range(2))
-    for index, frame in enumerate(frames):
-        times.append(frame.time_s)
-        free = _continue_tracks(views, live, frame, settings.gate_px, tolerance)
-        begun = _begin_tracks(views, live, free, index, tolerance)
-        n_dots += [len(d) for d in frame.centres]
-        n_free += [len(d) for d in free.centres]
-        n_free -= begun
-        ended = [t for t in live if t.unseen > MAX_COAST]
-        done += ended
-        live = [t for t in live if t.unseen <= MAX_COAST]
-    tracks = [t for t in done + live if np.count_nonzero(t.n_views) >= MIN_TRACK_FRAMES]
-    tracks.sort(key=lambda t: t.start)
-    share = np.divide(n_dots - n_free, n_dots, out=np.full(len(cameras), np.nan), where=n_dots > 0)
-    return Followed(_assemble(tracks, np.array(times)), share)
+    tracker = Tracker(rig, settings)
+    for frame in frames:
+        tracker.step(frame)
+    return tracker.followed()
 
 
-def _continue_tracks(
-    views: Views,
-    live: list[_Track],
-    frame: FrameDots,
-    gate_px: float,
-    tolerance: _Tolerance,
-) -> FrameDots:
-    """Extend or miss every live track; return the dots that none took.
+def centres_of_spheres(middles: Floats, depths_mm: Floats, radius_mm: float) -> Floats:
+    """Where centres of spheres are projected, from the middles of the spheres' pictures.
 
-    Dots are assigned twice: to predictions, and then, much closer, to where the points found by
-    that project; a camera whose dot lay outside the first gate is won back.
+    A sphere of radius r, whose centre has the depth z and is seen at x (normalised), is pictured
+    as an ellipse with its middle at x z² / (z² − r²): the outline is the cone that touches it.
+
+    Parameters
+    ----------
+    middles : (..., 2) float64, normalised
+    depths_mm : (...) float64, mm
+        Of the centres, along the optical axis.
+    radius_mm : float
     """
-    if not live:
-        return frame
-    predicted = np.stack([t.predict() for t in live])
-    points, _ = _assign(views, predicted, frame, gate_px, tolerance)
-    found = np.where(np.isnan(points.positions), predicted, points.positions)
-    gate = np.where(np.isnan(points.positions[:, 0]), gate_px, _CLOSE_GATE_PX)
-    points, chosen = _assign(views, found, frame, gate, tolerance)
-    tolerance.learn(points)
-    used = [np.zeros(len(d), bool) for d in frame.centres]
-    for row, track in enumerate(live):
-        if points.used[row].any():
-            track.see(points, row)
-            for view in np.flatnonzero(chosen[row] >= 0):
-                # a dot that was left out (half hidden, say) is still this marker's: it must not
-                # begin a ghost
-                used[view][chosen[row, view]] = True
-        else:
-            track.miss()
-    return FrameDots(
-        frame.time_s,
-        tuple(d[~u] for d, u in zip(frame.centres, used, strict=True)),
-        tuple(d[~u] for d, u in zip(frame.sd_px, used, strict=True)),
-    )
+    return np.asarray(middles * (1 - (radius_mm / depths_mm) ** 2)[..., None])
 
 
-def _assign(
-    views: Views,
-    expected: NDArray[np.float64],
-    frame: FrameDots,
-    gate_px: float | NDArray[np.float64],
-    tolerance: _Tolerance,
-) -> tuple[Points, NDArray[np.int64]]:
-    """Nearest dots of expected places, one to one in each camera, and the points they make.
+class Tracker:
+    """Follows all markers of a take, a frame at a time.
 
-    Returns the points and (N, C) indices of the dots, −1 where none lies within the gate.
+    Each frame: predict every track by the motion that all markers share and its own, assign dots
+    to predictions camera by camera (Hungarian method within a gate), triangulate robustly. What
+    was found tells the motion that is shared in this very frame; tracks not found are then looked
+    for where it carries them. Dots that no track took are matched over all views and begin new
+    tracks.
     """
-    N, C = len(expected), len(frame.centres)
-    gate = np.broadcast_to(np.asarray(gate_px, dtype=np.float64), N)
-    xy, sd = np.full((N, C, 2), np.nan), np.full((N, C), np.nan)
-    chosen = np.full((N, C), -1, dtype=np.int64)
-    for c, dots in enumerate(frame.centres):
-        if not len(dots):
-            continue
-        pixel = views.cameras[c].project(expected)
-        d = np.linalg.norm(pixel[:, None] - dots[None], axis=2)
-        d = np.where(d < gate[:, None], d, gate[:, None])  # also where NaN
-        rows, columns = linear_sum_assignment(d)
-        near = d[rows, columns] < gate[rows]
-        rows, columns = rows[near], columns[near]
-        chosen[rows, c] = columns
-        xy[rows, c] = views.cameras[c].undistort(dots[columns])
-        sd[rows, c] = frame.sd_px[c][columns]
-    return triangulate(views, xy, sd, tolerance_px=tolerance.px), chosen
 
+    def __init__(self, rig: Rig, settings: TrackerSettings | None = None) -> None:
+        self._settings = settings or TrackerSettings()
+        self._views = Views.of([rig[name] for name in rig])
+        self._tolerance = _Tolerance(self._settings.tolerance_px)
+        self._live = Prediction()
+        self._records = TrackRecords(len(rig))
 
-def _begin_tracks(
-    views: Views,
-    live: list[_Track],
-    dots: FrameDots,
-    frame: int,
-    tolerance: _Tolerance,
-) -> NDArray[np.int64]:
-    """Markers among the dots that no track took: missed tracks go on there, others begin.
+    def step(self, frame: FrameDots) -> None:
+        """Go on to the next frame."""
+        cameras = self._views.cameras
+        dots = _Sighted(
+            tuple(undistort(c, d) for c, d in zip(cameras, frame.centres, strict=True)),
+            frame.sd_px,
+        )
+        self._records.begin_frame(frame.time_s, self._views)
+        free = self._continue_tracks(dots)
+        n_begun = self._begin_tracks(free)
+        n_dots = np.array([len(d) for d in dots.centres])
+        n_free = np.array([len(d) for d in free.centres])
+        self._records.end_frame(n_dots, n_dots - n_free + n_begun)
+        self._live.drop(self._live.unseen > MAX_COAST)
 
-    Returns how many dots of each camera they use.
-    """
-    if sum(len(d) > 0 for d in dots.centres) < 2:
-        return np.zeros(len(dots.centres), np.int64)
-    normalised = [views.cameras[c].undistort(d) for c, d in enumerate(dots.centres)]
-    rows, points = match_views(views, normalised, dots.sd_px, tolerance_px=tolerance.px)
-    followed = np.array([t.last for t in live if not t.unseen]).reshape(-1, 3)
-    twice = np.array(
-        [(np.linalg.norm(followed - p, axis=1) < _SAME_MM).any() for p in points.positions], bool
-    )
-    rows, points = rows[~twice], points.select(~twice)
-    missed = [t for t in live if t.unseen]
-    d = np.array([[t.distance_mm(p) for t in missed] for p in points.positions])
-    d = np.minimum(d.reshape(len(points.positions), len(missed)), _REVIVE_MM)
-    revived = set()
-    for row, m in zip(*linear_sum_assignment(d), strict=True):
-        if d[row, m] < _REVIVE_MM:
-            missed[m].revive(points, row)
-            revived.add(row)
-    for row in range(len(points.positions)):
-        if row in revived:
-            continue
-        track = _Track(frame)
-        track.see(points, row)
-        live.append(track)
-    return np.asarray((rows >= 0).sum(axis=0))
+    def change_rig(self, rig: Rig) -> None:
+        """Go on with cameras that stand elsewhere."""
+        self._views = Views.of([rig[name] for name in rig])
 
+    def followed(self) -> Followed:
+        """What was found so far."""
+        return self._records.followed(MIN_TRACK_FRAMES)
 
-def _assemble(tracks: Sequence[_Track], time_s: NDArray[np.float64]) -> Trajectories:
-    T, M = len(time_s), len(tracks)
-    positions = np.full((T, M, 3), np.nan)
-    information = np.full((T, M, 3, 3), np.nan)
-    misfit, residual = np.full((T, M), np.nan), np.full((T, M), np.nan)
-    n_views = np.zeros((T, M), np.int32)
-    for m, track in enumerate(tracks):
-        span = slice(track.start, track.start + len(track.positions))
-        positions[span, m] = track.positions
-        information[span, m] = track.information
-        misfit[span, m] = track.misfit
-        residual[span, m] = track.residual
-        n_views[span, m] = track.n_views
-    return Trajectories(
-        time_s,
-        tuple(f"m{m:03d}" for m in range(M)),
-        positions,
-        covariances=_covariances(information, misfit, n_views),
-        residual_px=residual,
-        n_views=n_views,
-    )
+    def _continue_tracks(self, dots: _Sighted) -> _Sighted:
+        """Extend or miss every live track; return the dots that none took.
 
+        Dots are assigned twice: to predictions, and then, much closer, to where the points found
+        by that project; a camera whose dot lay outside the first gate is won back.
+        """
+        live = self._live
+        if not len(live):
+            return dots
+        predicted, gate_px = live.predict(), self._settings.gate_px
+        before = self._assign(predicted, dots, np.full(len(live), gate_px))
+        points = self._triangulate(self._gathered(dots, before, predicted))
+        live.learn_common_motion(points.positions)
+        lost = np.isnan(points.positions[:, 0])
+        expected = np.where(lost[:, None], live.predict(), points.positions)
+        chosen = self._assign(expected, dots, np.where(lost, gate_px, _CLOSE_GATE_PX))
+        changed = np.flatnonzero((chosen != before).any(axis=1))
+        own = self._gathered(dots, chosen, expected)
+        points = points.replace(changed, self._triangulate(own.select(changed)))
+        self._tolerance.learn(points)
+        seen = np.flatnonzero(points.used.any(axis=1))
+        free = [np.ones(len(d), bool) for d in dots.centres]
+        for c in range(len(free)):
+            # a dot that was left out (half hidden, say) is still this marker's: it must not
+            # begin a ghost
+            mine = chosen[seen, c]
+            free[c][mine[mine >= 0]] = False
+        live.update(points.positions)
+        self._records.add(live.ids[seen], points.select(seen), own.select(seen))
+        return dots.only(free)
 
-def _covariances(
-    information: NDArray[np.float64], misfit: NDArray[np.float64], n_views: NDArray[np.int32]
-) -> NDArray[np.float64]:
-    """Inverse information, scaled so that the dots' standard deviations explain the residuals.
+    def _assign(self, expected: Floats, dots: _Sighted, gate_px: Floats) -> NDArray[np.int64]:
+        """Nearest dots of expected places, one to one in each camera.
 
-    A point of n views leaves 2 n − 3 degrees of freedom.
-    """
-    seen = n_views > 0
-    freedom = float((2 * n_views[seen] - 3).sum())
-    scale = float(misfit[seen].sum()) / freedom if freedom > 0 else 1.0
-    found = np.full_like(information, np.nan)
-    found[seen] = np.linalg.inv(information[seen]) * max(scale, _MIN_SCALE)
-    return found
+        Returns (N, C) indices of the dots, −1 where none lies within the gate.
+        """
+        views = self._views
+        chosen = np.full((len(expected), len(dots.centres)), -1, dtype=np.int64)
+        places = views.normalised(expected)
+        for c, centres in enumerate(dots.centres):
+            if not len(centres):
+                continue
+            gap = (places[:, None, c] - centres[None]) * views.focal_px[c]
+            d = np.sqrt(gap[..., 0] ** 2 + gap[..., 1] ** 2)
+            d = np.where(d < gate_px[:, None], d, gate_px[:, None])  # also where NaN
+            rows, columns = linear_sum_assignment(d)
+            near = d[rows, columns] < gate_px[rows]
+            chosen[rows[near], c] = columns[near]
+        return chosen
+
+    def _gathered(self, dots: _Sighted, chosen: NDArray[np.int64], expected: Floats) -> Dots:
+        """The dots of (N, C) groups, which are about at (N, 3) mm."""
+        xy, sd = np.full((*chosen.shape, 2), np.nan), np.full(chosen.shape, np.nan)
+        for c, (centres, sd_px) in enumerate(zip(dots.centres, dots.sd_px, strict=True)):
+            rows = np.flatnonzero(chosen[:, c] >= 0)
+            xy[rows, c] = centres[chosen[rows, c]]
+            sd[rows, c] = sd_px[chosen[rows, c]]
+        if self._settings.sphere_radius_mm:
+            depths = self._views.depths(expected)
+            xy = centres_of_spheres(xy, depths, self._settings.sphere_radius_mm)
+        return Dots(xy, sd)
+
+    def _triangulate(self, dots: Dots) -> Points:
+        return triangulate(self._views, dots.xy, dots.sd_px, tolerance_px=self._tolerance.px)
+
+    def _begin_tracks(self, dots: _Sighted) -> NDArray[np.int64]:
+        """Markers among the dots that no track took: missed tracks go on there, others begin.
+
+        Returns how many dots of each camera they use.
+        """
+        if sum(len(d) > 0 for d in dots.centres) < 2:
+            return np.zeros(len(dots.centres), np.int64)
+        live = self._live
+        rows, points = match_views(
+            self._views, dots.centres, dots.sd_px, tolerance_px=self._tolerance.px
+        )
+        followed = live.last[live.unseen == 0]
+        gap = np.linalg.norm(points.positions[:, None] - followed, axis=2)
+        twice = (gap < _SAME_MM).any(axis=1)
+        kept = np.flatnonzero(~twice)
+        # in the order of the dots: that of residuals would hang on their last digits
+        kept = kept[np.lexsort(np.where(rows[kept] < 0, np.inf, rows[kept]).T[::-1])]
+        rows, points = rows[kept], points.select(kept)
+        missed = np.flatnonzero(live.unseen > 0)
+        # from where it should be, or from where it was last seen: lips turn round in a frame
+        d = np.minimum(
+            np.linalg.norm(points.positions[:, None] - live.last[missed], axis=2),
+            np.linalg.norm(points.positions[:, None] - live.seen_at[missed], axis=2),
+        )
+        d = np.minimum(d, _REVIVE_MM)
+        ids = np.full(len(rows), -1, dtype=np.int64)
+        for row, m in zip(*linear_sum_assignment(d), strict=True):
+            if d[row, m] < _REVIVE_MM:
+                ids[row] = live.ids[missed[m]]
+                live.revive(int(missed[m]), points.positions[row])
+        new = np.flatnonzero(ids < 0)
+        ids[new] = live.begin(points.positions[new])
+        self._records.add(ids, points, self._gathered(dots, rows, points.positions))
+        return np.asarray((rows >= 0).sum(axis=0))

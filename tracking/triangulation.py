@@ -43,6 +43,16 @@ class Views:
             tuple(cameras),
         )
 
+    def normalised(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Where ideal pinholes see world points: (N, 3) mm to (N, C, 2); NaN behind a camera."""
+        q = np.einsum("cij,nj->nci", self.matrices[:, :, :3], points) + self.matrices[:, :, 3]
+        depth = np.where(q[..., 2:] > 0, q[..., 2:], np.nan)
+        return np.asarray(q[..., :2] / depth)
+
+    def depths(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of world points along the optical axes: (N, 3) mm to (N, C) mm."""
+        return np.asarray(points @ self.matrices[:, 2, :3].T + self.matrices[:, 2, 3])
+
 
 @dataclass(frozen=True, eq=False)
 class Points:
@@ -78,6 +88,21 @@ class Points:
             self.residual_px[rows],
             self.used[rows],
         )
+
+    def replace(self, rows: NDArray[np.int64], others: Points) -> Points:
+        """The points with those of some rows exchanged."""
+        found = []
+        for name in ("positions", "information", "misfit", "residual_px", "used"):
+            values = getattr(self, name).copy()
+            values[rows] = getattr(others, name)
+            found.append(values)
+        return Points(*found)
+
+
+def joined_points(parts: Sequence[Points]) -> Points:
+    """Points of several sets, one after another."""
+    names = ("positions", "information", "misfit", "residual_px", "used")
+    return Points(*(np.concatenate([getattr(p, name) for p in parts]) for name in names))
 
 
 def triangulate(
@@ -161,11 +186,13 @@ def _triangulate(P, focal, xy, sd, tolerance):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _error2(P, focal, xy, X, c):  # type: ignore[no-untyped-def]
     """Squared reprojection error in one view, px²; inf behind the camera."""
-    q = np.ascontiguousarray(P[c, :, :3]) @ X + P[c, :, 3]
-    if q[2] <= 0:
+    qx = P[c, 0, 0] * X[0] + P[c, 0, 1] * X[1] + P[c, 0, 2] * X[2] + P[c, 0, 3]
+    qy = P[c, 1, 0] * X[0] + P[c, 1, 1] * X[1] + P[c, 1, 2] * X[2] + P[c, 1, 3]
+    qz = P[c, 2, 0] * X[0] + P[c, 2, 1] * X[1] + P[c, 2, 2] * X[2] + P[c, 2, 3]
+    if qz <= 0:
         return np.inf
-    du = (q[0] / q[2] - xy[c, 0]) * focal[c]
-    dv = (q[1] / q[2] - xy[c, 1]) * focal[c]
+    du = (qx / qz - xy[c, 0]) * focal[c]
+    dv = (qy / qz - xy[c, 1]) * focal[c]
     return du * du + dv * dv
 
 
@@ -187,40 +214,72 @@ def _fit(P, focal, xy, sd, used):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _solve(P, focal, xy, sd, used):  # type: ignore[no-untyped-def]
     """Position and JᵀJ (pixels), and whether it is well determined."""
-    A, b = np.zeros((3, 3)), np.zeros(3)
+    A, g = np.zeros((3, 3)), np.zeros(3)
+    d, origin, row = np.zeros(3), np.zeros(3), np.zeros(3)
     for c in range(len(used)):
         if used[c]:
-            R = np.ascontiguousarray(P[c, :, :3])
-            d = R.T.copy() @ np.array([xy[c, 0], xy[c, 1], 1.0])
-            d /= np.sqrt((d * d).sum())
-            origin = -(R.T.copy() @ np.ascontiguousarray(P[c, :, 3]))
-            M = np.eye(3) - np.outer(d, d)
-            A += M / sd[c] ** 2
-            b += M @ origin / sd[c] ** 2
-    if abs(np.linalg.det(A)) < 1e-9 * np.trace(A) ** 3:  # parallel rays
-        return b, A, False
-    X = np.linalg.solve(A, b)
-    JtJ = np.zeros((3, 3))
+            length2 = 0.0
+            for i in range(3):
+                d[i] = P[c, 0, i] * xy[c, 0] + P[c, 1, i] * xy[c, 1] + P[c, 2, i]
+                origin[i] = -(
+                    P[c, 0, i] * P[c, 0, 3] + P[c, 1, i] * P[c, 1, 3] + P[c, 2, i] * P[c, 2, 3]
+                )
+                length2 += d[i] * d[i]
+            weight = 1 / sd[c] ** 2
+            for i in range(3):
+                for j in range(3):
+                    m = ((1.0 if i == j else 0.0) - d[i] * d[j] / length2) * weight
+                    A[i, j] += m
+                    g[i] += m * origin[j]
+    X = np.zeros(3)
+    if not _divide(A, g, X, 1e-9):  # parallel rays
+        return X, A, False
+    step = np.zeros(3)
     for _ in range(_STEPS):
-        JtJ = np.zeros((3, 3))
-        g = np.zeros(3)
+        A[:] = 0.0
+        g[:] = 0.0
         for c in range(len(used)):
             if used[c]:
-                R = np.ascontiguousarray(P[c, :, :3])
-                q = R @ X + P[c, :, 3]
-                if q[2] <= 0:
-                    return X, JtJ, False
-                u, v = q[0] / q[2], q[1] / q[2]
-                ju = (R[0] - u * R[2]) * (focal[c] / q[2] / sd[c])
-                jv = (R[1] - v * R[2]) * (focal[c] / q[2] / sd[c])
-                du, dv = (u - xy[c, 0]) * focal[c], (v - xy[c, 1]) * focal[c]
-                du, dv = du / sd[c], dv / sd[c]
-                JtJ += np.outer(ju, ju) + np.outer(jv, jv)
-                g += ju * du + jv * dv
-        if abs(np.linalg.det(JtJ)) < 1e-12 * np.trace(JtJ) ** 3:
-            return X, JtJ, False
-        step = np.linalg.solve(JtJ, g)
-        X = X - step
-        if (step * step).sum() < 1e-18:
+                qx = P[c, 0, 0] * X[0] + P[c, 0, 1] * X[1] + P[c, 0, 2] * X[2] + P[c, 0, 3]
+                qy = P[c, 1, 0] * X[0] + P[c, 1, 1] * X[1] + P[c, 1, 2] * X[2] + P[c, 1, 3]
+                qz = P[c, 2, 0] * X[0] + P[c, 2, 1] * X[1] + P[c, 2, 2] * X[2] + P[c, 2, 3]
+                if qz <= 0:
+                    return X, A, False
+                scale = focal[c] / sd[c]
+                for k in range(2):
+                    place = (qx if k == 0 else qy) / qz
+                    off = (place - xy[c, k]) * scale
+                    for i in range(3):
+                        row[i] = (P[c, k, i] - place * P[c, 2, i]) * scale / qz
+                    for i in range(3):
+                        g[i] += row[i] * off
+                        for j in range(3):
+                            A[i, j] += row[i] * row[j]
+        if not _divide(A, g, step, 1e-12):
+            return X, A, False
+        length2 = 0.0
+        for i in range(3):
+            X[i] -= step[i]
+            length2 += step[i] * step[i]
+        if length2 < 1e-18:
             break
-    return X, JtJ, True
+    return X, A, True
+
+
+@njit(cache=True, nogil=True)
+def _divide(A, b, x, limit):  # type: ignore[no-untyped-def]
+    """Solve A x = b for a symmetric 3 × 3 A; False if its determinant says it is singular."""
+    c00 = A[1, 1] * A[2, 2] - A[1, 2] * A[1, 2]
+    c01 = A[0, 2] * A[1, 2] - A[0, 1] * A[2, 2]
+    c02 = A[0, 1] * A[1, 2] - A[0, 2] * A[1, 1]
+    det = A[0, 0] * c00 + A[0, 1] * c01 + A[0, 2] * c02
+    trace = A[0, 0] + A[1, 1] + A[2, 2]
+    if not abs(det) >= limit * trace**3:
+        return False
+    c11 = A[0, 0] * A[2, 2] - A[0, 2] * A[0, 2]
+    c12 = A[0, 1] * A[0, 2] - A[0, 0] * A[1, 2]
+    c22 = A[0, 0] * A[1, 1] - A[0, 1] * A[0, 1]
+    x[0] = (c00 * b[0] + c01 * b[1] + c02 * b[2]) / det
+    x[1] = (c01 * b[0] + c11 * b[1] + c12 * b[2]) / det
+    x[2] = (c02 * b[0] + c12 * b[1] + c22 * b[2]) / det
+    return True

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, Full, Queue
-from threading import Event
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,17 +14,25 @@ from numpy.typing import NDArray
 from ..core.errors import FileFormatError, InputError
 from ..core.rig import Rig
 from ..core.trajectories import Trajectories
-from ..core.video import Frame, VideoInfo, probe_video, read_frames
-from .blobs import Blobs, BlobSettings, find_blobs, find_level
-from .tracker import Followed, FrameDots, TrackerSettings, follow_markers
+from ..core.video import VideoInfo, probe_video, sample_frames
+from .blobs import BlobSettings, find_blobs, find_level
+from .dot_streams import stream_dots
+from .footage import Footage
+from .spot_settings import find_settings
+from .tracker import TrackerSettings
 from .triangulation import Views, triangulate
+from .video_clocks import read_clocks
+
+__all__ = [
+    "TrackedVideos", "blob_settings", "match_videos_to_rig", "track_videos", "warm_up",
+]  # fmt: skip
 
 logger = logging.getLogger(__name__)
 
-#: If fewer of a camera's dots meet another camera's, footage and rig do not belong together.
-MIN_SHARE_USED = 0.6
-_QUEUE = 32  # frames a camera may run ahead; memory stays constant in the length of the take
-_TIME_TOLERANCE = 0.25  # of a frame: cameras are taken to be in step
+_SAMPLES = 3  # pictures of each camera that tell the level of its dots
+_NOTED_FRAMES = 2
+_STEADY = 0.15  # of the level: light that changes more is looked at more closely
+_FEWEST_DOTS, _ALIKE, _MOSTLY = 5, 4.0, 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +45,19 @@ class TrackedVideos:
         Unlabelled.
     levels : mapping from camera to float
         Grey level above which a pixel was a dot's.
-    n_dots : (T, C) int32
+    n_dots : (T, C) int64
         Dots found in each picture.
+    rig : Rig
+        Of the cameras used; refined, if that was asked for and needed.
+    notes : tuple of str
+        What the user should know: lost frames, cameras that were moved.
     """
 
     trajectories: Trajectories
     levels: Mapping[str, float]
-    n_dots: NDArray[np.int32]
+    n_dots: NDArray[np.int64]
+    rig: Rig
+    notes: tuple[str, ...] = ()
 
 
 def match_videos_to_rig(videos: Sequence[Path], rig: Rig) -> tuple[Rig, dict[str, Path]]:
@@ -76,7 +87,6 @@ def match_videos_to_rig(videos: Sequence[Path], rig: Rig) -> tuple[Rig, dict[str
     names = [n for n in rig if n in chosen]
     for name in names:
         _check_size(chosen[name], probe_video(chosen[name]), rig[name].image_size)
-    _check_rates({n: probe_video(chosen[n]) for n in names})
     return Rig({n: rig[n] for n in names}), {n: chosen[n] for n in names}
 
 
@@ -86,14 +96,80 @@ def _check_size(path: Path, info: VideoInfo, size: tuple[int, int]) -> None:
         raise FileFormatError(path, "picture size", expected, f"{info.width}x{info.height}")
 
 
-def _check_rates(infos: Mapping[str, VideoInfo]) -> None:
-    (first_name, first), *others = infos.items()
-    for name, info in others:
-        if abs(info.rate_hz - first.rate_hz) > 1e-3 * first.rate_hz:
-            raise InputError(
-                f"videos run at different rates: {first_name} at {first.rate_hz:g}, {name} at "
-                f"{info.rate_hz:g} frames/s"
-            )
+def blob_settings(
+    paths: Mapping[str, Path], *, level: float | None = None, colour: str | None = None
+) -> dict[str, BlobSettings]:
+    """What counts as a dot in each camera's video, found from pictures spread over it.
+
+    Parameters
+    ----------
+    paths : mapping from camera to Path
+    level : float, optional
+        Take this grey level for all: bright markers.
+    colour : str, optional
+        Of the markers, one of `spot_settings.COLOURS`. By default bright or dark ones are looked
+        for, and coloured ones where there are none.
+
+    Raises
+    ------
+    InputError
+        If there are no dots in most of the pictures looked at.
+    """
+    if level is not None:
+        return {name: BlobSettings(level) for name in paths}
+    with ThreadPoolExecutor(len(paths)) as pool:
+        found = pool.map(lambda path: _settings_of(path, colour), paths.values())
+        return dict(zip(paths, found, strict=True))
+
+
+def _settings_of(path: Path, colour: str | None) -> BlobSettings:
+    is_grey = colour in (None, "white", "black")
+    if colour in (None, "white"):
+        plain = _plain_settings(_pictures(path, gray=True))
+        if plain is not None:
+            return plain
+    try:
+        if is_grey:
+            try:
+                return find_settings(_pictures(path, gray=True), colour=colour)
+            except InputError:
+                if colour is not None:
+                    raise
+        return find_settings(_pictures(path, gray=False), colour=colour)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _plain_settings(pictures: Sequence[NDArray[np.uint8]]) -> BlobSettings | None:
+    """At once, where there is nothing to search for: bright dots in steady light.
+
+    None unless all pictures ask for about the same level, and show spots of one kind there.
+    """
+    levels = []
+    for image in pictures:
+        try:
+            levels.append(find_level(image))
+        except InputError:
+            return None
+    level = float(np.median(levels))
+    if np.ptp(levels) > _STEADY * level:
+        return None
+    settings = BlobSettings(level)
+    for image in pictures:
+        try:
+            areas = find_blobs(image, settings).areas_px
+        except InputError:
+            return None
+        if len(areas) < _FEWEST_DOTS:
+            return None
+        ratio = areas / np.median(areas)
+        if ((ratio < _ALIKE) & (ratio > 1 / _ALIKE)).mean() < _MOSTLY:
+            return None
+    return settings
+
+
+def _pictures(path: Path, *, gray: bool) -> list[NDArray[np.uint8]]:
+    return [picture.image for picture in sample_frames(path, _SAMPLES, gray=gray)]
 
 
 def track_videos(
@@ -101,14 +177,17 @@ def track_videos(
     rig: Rig,
     *,
     level: float | None = None,
+    colour: str | None = None,
     settings: TrackerSettings | None = None,
+    rate_hz: float | None = None,
+    refine_rig: bool = False,
     on_frame: Callable[[int], None] | None = None,
 ) -> TrackedVideos:
-    """Track all markers of a take.
+    """Track all markers of a take, in memory; `long_takes.track_long` does it in pieces.
 
     Cameras are decoded and searched in threads of their own, a bounded number of frames ahead of
-    the tracker. They are taken to have been started together: frame i of all videos is one
-    instant.
+    the tracker. They are taken to have been started together; from then on their time stamps tell
+    which frames are one instant, so that a frame which a camera lost is a view that is missing.
 
     Parameters
     ----------
@@ -116,162 +195,68 @@ def track_videos(
         Named after the rig's cameras.
     rig : Rig
     level : float, optional
-        Grey level above which a pixel is a dot's; found from each camera's first frame by default.
+        Grey level above which a pixel is a dot's; found from each camera's footage by default.
+    colour : str, optional
+        Of the markers, as `blob_settings` says.
     settings : TrackerSettings, optional
+    rate_hz : float, optional
+        The rate at which the take was filmed, where files say a wrong one.
+    refine_rig : bool
+        Estimate cameras anew that were moved after their calibration; else they are left out.
     on_frame : callable, optional
         Told each finished frame's index.
 
     Raises
     ------
     InputError, FileFormatError
-        Videos and rig do not fit; lengths or time stamps differ; a file is broken; no dots.
+        Videos and rig do not fit; rates differ; a file is broken; no dots.
     """
     rig, paths = match_videos_to_rig(videos, rig)
-    levels: dict[str, float] = {}
-    n_dots: list[list[int]] = []
-
-    def dots() -> Iterator[FrameDots]:
-        with ExitStack() as stack:
-            stop = Event()
-            pool = stack.enter_context(ThreadPoolExecutor(len(paths)))
-            stack.callback(stop.set)
-            queues: list[Queue[_Dots | None]] = []
-            jobs = []
-            for name, path in paths.items():
-                queue: Queue[_Dots | None] = Queue(_QUEUE)
-                queues.append(queue)
-                jobs.append(pool.submit(_search, path, name, level, levels, queue, stop))
-            yield from _in_step(list(paths.values()), queues, jobs, n_dots, on_frame)
-
-    followed = follow_markers(rig, dots(), settings)
-    _check_fit(rig, followed)
-    found = followed.trajectories
-    logger.info("followed %d tracks over %d frames", len(found.names), len(found.time_s))
-    return TrackedVideos(found, levels, np.array(n_dots, dtype=np.int32))
-
-
-def _check_fit(rig: Rig, followed: Followed) -> None:
-    """Refuse footage whose dots do not meet in space: it is not this rig's."""
-    if not len(followed.trajectories.names):
-        raise InputError(
-            "no marker was seen by two cameras at once: are the rig and the videos of one take?"
-        )
-    lost = [
-        f"{name} ({100 * share:.0f} %)"
-        for name, share in zip(rig, followed.share_used, strict=True)
-        if share < MIN_SHARE_USED
-    ]
-    if lost:
-        raise InputError(
-            f"few of the dots of {', '.join(lost)} meet those of other cameras in space: is the "
-            "camera rig of this take, is each video named after its camera, has a camera moved?"
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class _Dots:
-    time_s: float
-    blobs: Blobs
-
-
-def _search(
-    path: Path,
-    name: str,
-    level: float | None,
-    levels: dict[str, float],
-    queue: Queue[_Dots | None],
-    stop: Event,
-) -> None:
-    """Decode one video and put its dots into the queue; None at the end or after an error."""
-    try:
-        settings: BlobSettings | None = None if level is None else BlobSettings(level)
-        with closing(read_frames(path, gray=True, threads=1)) as frames:
-            for frame in frames:
-                if settings is None:
-                    settings = BlobSettings(_level_of(path, frame))
-                levels[name] = settings.level
-                blobs = _blobs_of(path, frame, settings)
-                if not _put(queue, _Dots(frame.time_s, blobs), stop):
-                    return
-    finally:
-        _put(queue, None, stop)
-
-
-def _level_of(path: Path, frame: Frame) -> float:
-    try:
-        return find_level(frame.image)
-    except InputError as error:
-        raise InputError(f"{path}, frame {frame.index}: {error}") from error
-
-
-def _blobs_of(path: Path, frame: Frame, settings: BlobSettings) -> Blobs:
-    try:
-        return find_blobs(frame.image, settings)
-    except InputError as error:
-        raise InputError(f"{path}, frame {frame.index}: {error}") from error
-
-
-def _put(queue: Queue[_Dots | None], item: _Dots | None, stop: Event) -> bool:
-    while not stop.is_set():
-        try:
-            queue.put(item, timeout=0.1)
-        except Full:
-            continue
-        return True
-    return False
-
-
-def _in_step(
-    paths: Sequence[Path],
-    queues: Sequence[Queue[_Dots | None]],
-    jobs: Sequence[object],
-    n_dots: list[list[int]],
-    on_frame: Callable[[int], None] | None,
-) -> Iterator[FrameDots]:
-    frame = 0
-    last_time, interval = 0.0, np.inf
-    while True:
-        items = [_get(queue, job) for queue, job in zip(queues, jobs, strict=True)]
-        for job, item in zip(jobs, items, strict=True):
-            if item is None:
-                job.result()  # type: ignore[attr-defined]  # raises what broke the search
-        ended = [p for p, item in zip(paths, items, strict=True) if item is None]
-        present = [item for item in items if item is not None]
-        if len(ended) == len(paths):
-            return
-        if ended:
-            raise InputError(
-                f"videos are of unequal length: {ended[0]} ends after {frame} frames, "
-                f"{next(p for p, i in zip(paths, items, strict=True) if i is not None)} goes on"
-            )
-        times = [item.time_s for item in present]
-        if frame:
-            interval = min(interval, times[0] - last_time)
-        if frame and max(times) - min(times) > _TIME_TOLERANCE * interval:
-            raise InputError(
-                f"{paths[int(np.argmax(times))]}, frame {frame}: cameras are out of step: time "
-                f"stamps from {min(times):.4f} to {max(times):.4f} s"
-            )
-        last_time = times[0]
-        n_dots.append([len(item.blobs) for item in present])
-        yield FrameDots(
-            float(np.mean(times)),
-            tuple(item.blobs.centres for item in present),
-            tuple(item.blobs.sd_px for item in present),
-        )
+    clocks = read_clocks(paths, rate_hz=rate_hz)
+    blobs = blob_settings(paths, level=level, colour=colour)
+    footage = Footage(rig, settings)
+    lost = LostFrames(rig.names)
+    for index, frame in enumerate(stream_dots(paths, clocks, blobs)):
+        footage.step(frame)
+        lost.count(~np.isnan(frame.stamps_s))
         if on_frame is not None:
-            on_frame(frame)
-        frame += 1
+            on_frame(index)
+    found = footage.tracked(refine_rig=refine_rig)
+    tracks = found.followed.trajectories
+    logger.info("followed %d tracks over %d frames", len(tracks.names), len(tracks.time_s))
+    return TrackedVideos(
+        tracks,
+        {name: s.level for name, s in blobs.items()},
+        found.followed.n_dots,
+        found.verdict.rigs[0][1] if refine_rig else rig,
+        (*clocks.notes, *lost.notes(), *found.verdict.notes),
+    )
 
 
-def _get(queue: Queue[_Dots | None], job: object) -> _Dots | None:
-    """The next item; None too if the job died without a word."""
-    while True:
-        try:
-            return queue.get(timeout=0.2)
-        except Empty:
-            if job.done() and queue.empty():  # type: ignore[attr-defined]
-                return None
+class LostFrames:
+    """Counts the frames that cameras lost, or ended too early for."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self._seen = np.zeros(len(self._names), np.int64)
+        self._last = np.zeros(len(self._names), np.int64)
+        self._n = 0
+
+    def count(self, here: NDArray[np.bool_]) -> None:
+        """Take note of the next frame: (C,), which cameras have it."""
+        self._n += 1
+        self._seen += here
+        self._last[here] = self._n
+
+    def notes(self) -> tuple[str, ...]:
+        """What is worth saying."""
+        found = []
+        for name, seen, last in zip(self._names, self._seen, self._last, strict=True):
+            if self._n - last > _NOTED_FRAMES:
+                found.append(f"{name} ends {self._n - last} frames before the others")
+            if last > seen:
+                found.append(f"{name} lost {last - seen} of {last} frames: they are missing views")
+        return tuple(found)
 
 
 def warm_up() -> None:
@@ -279,10 +264,9 @@ def warm_up() -> None:
     image = np.full((64, 64), 20, np.uint8)
     image[28:36, 28:36] = 220
     image.flags.writeable = False
-    blobs = find_blobs(image[:, :60], BlobSettings(120.0))
+    find_blobs(image[:, :60], BlobSettings(120.0))
     eye = np.concatenate([np.eye(3), [[0.0], [0.0], [500.0]]], axis=1)
     aside = eye.copy()
     aside[0, 3] = 50.0
     views = Views(np.stack([eye, aside]), np.ones(2), ())
     triangulate(views, np.array([[[0.0, 0.0], [0.1, 0.0]]]), np.ones((1, 2)))
-    assert len(blobs) == 1

@@ -19,9 +19,7 @@ in the file have one.
 from __future__ import annotations
 
 import logging
-import os
-import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -29,24 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import FileFormatError, InputError
-from ..files import atomic_path
 from ..trajectories import Source, Trajectories
-from .c3d_layout import (
-    BLOCK_BYTES,
-    MAX_FRAMES,
-    MAX_PARAMETER_BYTES,
-    MAX_SHORT_FRAMES,
-    Layout,
-    floats_of_words,
-    read_layout,
-)
+from .c3d_layout import Layout, floats_of_words, read_layout
+from .c3d_writer import MAX_STEPS, OWN_GROUP, C3dWriter
 
-#: Bytes of a marker name that all readers take.
-MAX_NAME_BYTES = 127
-_MAX_MARKERS = 32767
-_MAX_STEPS = 254  # of a residual byte; 255 says that a measured sample has no residual
-_N_CAMERA_BITS = 7
-_GROUP = "FACEWRIGHT"
 _UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 _log = logging.getLogger(__name__)
@@ -74,7 +58,7 @@ def read_c3d(path: Path) -> Trajectories:
     is_missing = (word < 0) | np.isnan(xyz).any(axis=2)
     residual = (word & 0xFF) * abs(layout.scale)
     n_views = np.bitwise_count(((word >> 8) & 0x7F).astype(np.uint8)).astype(np.int32)
-    is_ours = (_GROUP, "RESIDUAL_UNIT") in layout.parameters
+    is_ours = (OWN_GROUP, "RESIDUAL_UNIT") in layout.parameters
     if not is_ours:
         is_missing |= (xyz == 0).all(axis=2) & (word == 0)
     broken = np.argwhere(np.isinf(xyz).any(axis=2) & ~is_missing)
@@ -97,27 +81,27 @@ def read_c3d(path: Path) -> Trajectories:
 def write_c3d(path: Path, trajectories: Trajectories) -> None:
     """Write trajectories; see the module for what the format keeps.
 
+    `c3d_writer.C3dWriter` does the same for takes that come in pieces.
+
     Raises
     ------
     InputError
         If there are no markers or fewer than 2 frames, the times are uneven, there are more than
         16 million frames, or a name is empty, longer than 127 bytes, or padded with spaces.
     """
-    rate_hz = _checked_rate_hz(trajectories)
-    _check_names(trajectories.names)
-    words, scale = _fourth_words(trajectories)
-    document = _new_document(trajectories, rate_hz, scale)
-    with atomic_path(path) as part:
-        # the library adds the suffix it insists on
-        named = part if part.suffix == ".c3d" else part.with_name(f"{part.name}.c3d")
-        try:
-            document.write(str(named))
-            _finish(named, words, scale)
-            if named != part:
-                os.replace(named, part)
-        finally:
-            if named != part:
-                named.unlink(missing_ok=True)
+    T, rate_hz = len(trajectories.time_s), trajectories.rate_hz
+    if rate_hz is None and T > 1:
+        raise InputError(
+            "a C3D file has one frame rate, but the times of these trajectories are uneven: "
+            "resample them first"
+        )
+    residual = trajectories.residual_px
+    largest = None
+    if residual is not None:
+        largest = float(np.max(residual, where=np.isfinite(residual), initial=0.0))
+    writer = C3dWriter(path, trajectories.names, rate_hz or 1.0, T, largest_residual_px=largest)
+    with writer:
+        writer.write(trajectories)
 
 
 # --- Reading ---
@@ -209,113 +193,9 @@ def _names(labels: Iterable[str], n_points: int) -> tuple[str, ...]:
 def _residual_px(
     layout: Layout, residual: NDArray[Any], is_missing: NDArray[np.bool_]
 ) -> NDArray[np.float64] | None:
-    unit = layout.parameters.get((_GROUP, "RESIDUAL_UNIT"))
+    unit = layout.parameters.get((OWN_GROUP, "RESIDUAL_UNIT"))
     if unit is None or unit.data != b"px":
         return None
     steps = np.round(residual / abs(layout.scale))
-    is_known = ~is_missing & (steps >= 1) & (steps <= _MAX_STEPS)
+    is_known = ~is_missing & (steps >= 1) & (steps <= MAX_STEPS)
     return np.where(is_known, residual, np.nan)
-
-
-# --- Writing, by ezc3d ---
-
-
-def _checked_rate_hz(trajectories: Trajectories) -> float:
-    T, M, _ = trajectories.positions.shape
-    if not 1 <= M <= _MAX_MARKERS:
-        raise InputError(f"a C3D file holds 1 to {_MAX_MARKERS} markers, not {M}")
-    if T < 2:
-        raise InputError(f"a C3D file needs a frame rate, so at least 2 frames, not {T}")
-    if T > MAX_FRAMES:
-        raise InputError(
-            f"a C3D file holds at most {MAX_FRAMES} frames, not {T}: cut the take into pieces"
-        )
-    rate_hz = trajectories.rate_hz
-    if rate_hz is None:
-        raise InputError(
-            "a C3D file has one frame rate, but the times of these trajectories are uneven: "
-            "resample them first"
-        )
-    return rate_hz
-
-
-def _check_names(names: Sequence[str]) -> None:
-    longest = 0
-    for name in names:
-        if not name or name != name.strip() or not name.isprintable():
-            raise InputError(f"marker name {name!r}: C3D needs one without spaces around it")
-        n_bytes = len(name.encode("utf-8", "surrogateescape"))
-        if n_bytes > MAX_NAME_BYTES:
-            raise InputError(
-                f"marker name {name[:20]}...: C3D takes {MAX_NAME_BYTES} bytes at most"
-            )
-        longest = max(longest, n_bytes)
-    # names are padded to the longest; 2 bytes each for the unit, the rest for all else
-    if len(names) * (longest + 2) > MAX_PARAMETER_BYTES - 20 * BLOCK_BYTES:
-        raise InputError(
-            f"the names of {len(names)} markers are longer than a C3D file has room for "
-            f"({MAX_PARAMETER_BYTES} bytes): shorten them or write fewer markers"
-        )
-
-
-def _fourth_words(trajectories: Trajectories) -> tuple[NDArray[np.float32], float]:
-    """Each point's fourth word, (T, M), and the scale of its residual."""
-    residual = trajectories.residual_px
-    if residual is None:
-        steps, scale = np.ones(trajectories.source.shape), np.float32(0.01)
-    else:
-        known = np.isfinite(residual)
-        largest = float(np.max(residual, where=known, initial=0.0))
-        scale = np.float32(max(largest / _MAX_STEPS, 1e-6))
-        steps = np.clip(np.round(np.where(known, residual, 0) / scale), 1, _MAX_STEPS)
-        steps[~known] = _MAX_STEPS + 1
-    if trajectories.n_views is not None:
-        n_cameras = np.clip(trajectories.n_views, 0, _N_CAMERA_BITS)
-        steps = steps + 256 * (2.0**n_cameras - 1)
-    words = np.where(trajectories.source == Source.INTERPOLATED, 0.0, steps)
-    words = np.where(trajectories.source == Source.RECONSTRUCTED, 256.0, words)
-    return np.where(trajectories.is_missing, -1.0, words).astype(np.float32), float(scale)
-
-
-def _new_document(trajectories: Trajectories, rate_hz: float, scale: float) -> Any:
-    import ezc3d
-
-    T, M, _ = trajectories.positions.shape
-    document = ezc3d.c3d()
-    points = document["parameters"]["POINT"]
-    points["RATE"]["value"] = [rate_hz]
-    points["UNITS"]["value"] = ["mm"]
-    points["LABELS"]["value"] = list(trajectories.names)
-    points["SCALE"]["value"] = np.array([-scale])
-    if T > MAX_SHORT_FRAMES:
-        document.add_parameter("POINT", "LONG_FRAMES", [float(T)])
-    unit = "none" if trajectories.residual_px is None else "px"
-    document.add_parameter(_GROUP, "RESIDUAL_UNIT", [unit])
-    is_missing = np.isnan(trajectories.positions[..., :1])
-    xyz = np.where(is_missing, 0.0, trajectories.positions)
-    if (np.abs(xyz) > np.finfo(np.float32).max).any():
-        raise InputError("a C3D file holds positions as 32-bit floats; one here is too large")
-    document["data"]["points"] = np.concatenate([xyz, np.ones((T, M, 1))], 2).transpose(2, 1, 0)
-    document["data"]["meta_points"]["residuals"] = np.where(is_missing, -1.0, 0.0).transpose(
-        2, 1, 0
-    )
-    return document
-
-
-def _finish(part: Path, words: NDArray[np.float32], scale: float) -> None:
-    """Check what the library wrote (it reports no full disk), and put right what it writes wrong.
-
-    Those are the scale in the header, and the fourth words: it swaps their bytes (its issue 386).
-    """
-    try:
-        layout = read_layout(part)
-    except FileFormatError as error:
-        raise OSError(f"{part} could not be written whole; is the disk full?") from error
-    T, M = words.shape
-    assert (layout.n_frames, layout.n_points, layout.frame_words) == (T, M, 4 * M)
-    points = np.memmap(part, dtype="<f4", mode="r+", offset=layout.offset, shape=(T, M, 4))
-    points[..., 3] = words
-    points.flush()
-    with open(part, "r+b") as stream:
-        stream.seek(12)
-        stream.write(struct.pack("<f", -scale))

@@ -117,9 +117,12 @@ class GlbDocument:
             if name not in KNOWN_EXTENSIONS
         ]
         if unknown:
+            how = "export it uncompressed"
+            if "KHR_draco_mesh_compression" in unknown:
+                how = "export it without Draco compression"
             self.fail(
                 "extensionsRequired",
-                "a file that can be read without them (export it uncompressed)",
+                f"a file that can be read without them ({how})",
                 ", ".join(map(str, unknown)),
             )
 

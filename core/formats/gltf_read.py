@@ -179,7 +179,7 @@ class _SceneReader:
         where: str,
     ) -> tuple[MorphTarget, ...]:
         targets = self._file.array(primitive, "targets", where)
-        names = _target_names(mesh, primitive, len(targets))
+        names = target_names(mesh, primitive, len(targets))
         has_normals = any(isinstance(t, dict) and "NORMAL" in t for t in targets)
         found = []
         for name, target in zip(names, targets, strict=True):
@@ -358,7 +358,7 @@ def _unused(name: str, taken: set[str]) -> str:
     return found
 
 
-def _target_names(mesh: Object, primitive: Object, count: int) -> list[str]:
+def target_names(mesh: Object, primitive: Object, count: int) -> list[str]:
     """Names as exporters store them: in the extras of the mesh or the primitive."""
     names: list[object] = []
     for holder in (mesh, primitive):

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from facewright.capture.board_detection import Detection, detect_board, flip_view
+from facewright.capture.chessboard_detection import grown
 from facewright.capture.grid_order import look_alikes, put_in_order
 from facewright.capture.lens import calibrate_board
 from facewright.capture.rigs import calibrate_rig
@@ -208,6 +209,66 @@ def test_a_board_with_more_corners_than_asked_for_is_counted(size: str) -> None:
     reason = reason_of(image, parse_board(f"chessboard:{size}:25"))
 
     assert reason.startswith("wrong size: the picture shows 9x6 inner corners")
+
+
+def test_a_part_of_the_corners_of_a_board_is_no_board() -> None:
+    """Every corner of a slanted grid, two columns of the board apart, is right by itself."""
+    image, truth = shots("chessboard:9x6:25")[0][0], shots("chessboard:9x6:25")[1][0]
+    board_grid = truth.reshape(6, 9, 2)
+    row, column = np.mgrid[0:3, 0:4]
+    slanted = board_grid[3 - column + row, 2 * column]  # (0, 1) and (2, -1) squares on
+
+    assert grown(image, board_grid[1:4, 2:6], most_lines=9).shape == (6, 9, 2)  # type: ignore[union-attr]
+    assert grown(image, board_grid).shape == (6, 9, 2)  # type: ignore[union-attr]
+    assert grown(image, slanted) is None
+    assert grown(image, board_grid[:, ::3]) is None
+
+
+@pytest.mark.parametrize("name", ["left01", "left05", "left14", "right04"])
+@pytest.mark.parametrize("size", ["5x4", "4x3", "8x5"])
+def test_real_boards_with_more_corners_than_asked_for_are_counted(name: str, size: str) -> None:
+    if not REAL.is_dir():
+        pytest.skip("real chessboard pictures are not there (../shared/data/real/chessboards)")
+    image = cv2.imread(str(REAL / f"{name}.jpg"), cv2.IMREAD_GRAYSCALE)
+
+    reason = reason_of(np.asarray(image, np.uint8), parse_board(f"chessboard:{size}:25"))
+
+    assert reason == f"wrong size: the picture shows 9x6 inner corners, not {size}"
+
+
+@pytest.mark.parametrize(
+    ("shown", "asked", "told"),
+    [
+        ("circles:9x7:15", "circles:8x7:15", "shows 9x7 dots, not 8x7"),
+        ("circles:9x7:15", "circles:5x4:15", "shows 9x7 dots, not 5x4"),
+        ("circles:9x7:15", "circles:4x9:15:asymmetric", "shows 9x7 dots, not 4x9:asymmetric"),
+        ("circles:4x11:15:asymmetric", "circles:4x9:15:asymmetric", "shows 4x11 dots, not 4x9"),
+        ("circles:4x11:15:asymmetric", "circles:3x5:15:asymmetric", "shows 4x11 dots, not 3x5"),
+        ("circles:4x11:15:asymmetric", "circles:4x5:15", "shows 4x11:asymmetric dots, not 4x5"),
+        ("circles:9x7:15", "circles:10x7:15", "shows 9x7 dots, not 10x7"),
+        (str(CHARUCO), "charuco:8x5:30:22:DICT_5X5_100", "6 rows or more of 8 squares, not 8x5"),
+        (str(CHARUCO), "charuco:8x4:30:22:DICT_5X5_100", "8 columns and 6 rows or more"),
+        (str(CHARUCO), "charuco:5x4:30:22:DICT_5X5_100", "8 columns and 6 rows or more"),
+        ("charuco:9x6:30:22:DICT_5X5_100", "charuco:9x4:30:22:DICT_5X5_100", "9 columns and 6"),
+    ],
+)
+def test_dots_and_squares_beyond_the_asked_board_are_counted(
+    shown: str, asked: str, told: str
+) -> None:
+    image = shots(shown)[0][0]
+
+    assert told in reason_of(image, parse_board(asked))
+
+
+def test_a_charuco_board_that_ends_early_is_used_and_told() -> None:
+    images, truth, _ = shots(str(CHARUCO))
+    taller = replace(CHARUCO, rows=8)
+    room = [i for i, t in enumerate(truth) if t[:, 1].max() + 2.5 * 60 < images[i].shape[0]]
+    found = detect_board(images[room[0]], taller)
+
+    assert found.view is not None
+    assert any("is it a board of 8x6?" in note for note in found.details)
+    assert not any("is it" in note for note in detect_board(images[room[0]], CHARUCO).details)
 
 
 def test_squares_counted_instead_of_corners_are_told() -> None:

@@ -15,6 +15,7 @@ from facewright.capture.bundle import (
     Bundle,
     BundleCamera,
     BundleData,
+    root_of,
     rotations,
     solve_bundle,
 )
@@ -338,3 +339,17 @@ def test_wrong_shapes_are_named() -> None:
             np.zeros((3, 2)),
             np.ones(2),
         )
+
+
+def test_a_root_gives_back_its_covariance_at_any_scale() -> None:
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(6, 6))
+    size = 10.0 ** np.array([6, 3, 0, -4, -7, -9])
+    C = (A @ A.T) * np.outer(size, size)
+    C[2], C[:, 2] = 0.0, 0.0  # held
+
+    root = root_of(C)
+
+    sd = np.where(np.diag(C) > 0, np.sqrt(np.diag(C)), 1.0)
+    np.testing.assert_allclose(root @ root.T / np.outer(sd, sd), C / np.outer(sd, sd), atol=1e-12)
+    np.testing.assert_array_equal(root[2], 0)

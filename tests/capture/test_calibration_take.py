@@ -11,16 +11,18 @@ from scipy.spatial.transform import Rotation
 
 from facewright.capture.board_detection import Detection
 from facewright.capture.board_turns import agree_on_turns, alternatives
-from facewright.capture.calibration_take import (
+from facewright.capture.board_video import (
     TimedDetections,
+    motion_of,
+    view_at,
+    views_at_moments,
+)
+from facewright.capture.board_views import without_blur, without_repeats
+from facewright.capture.calibration_take import (
     check_sizes,
     find_take,
     pictures_in,
     read_picture,
-    view_at,
-    views_at_moments,
-    without_blur,
-    without_repeats,
 )
 from facewright.capture.lens import BoardView
 from facewright.capture.synchronise import ClockFit
@@ -144,6 +146,24 @@ def test_clocks_bring_videos_to_the_same_moments() -> None:
     for a, b in zip(views["a"], views["b"], strict=True):
         assert a.name == b.name
         np.testing.assert_allclose(a.pixels, b.pixels, atol=1e-9)
+
+
+@pytest.mark.parametrize("board", [PLAIN, ALIKE, SQUARE], ids=str)
+def test_two_cameras_tell_the_motion_of_a_board_by_a_rigid_map(board: Board) -> None:
+    rng = np.random.default_rng(6)
+    cameras = {"a": camera_at(-25), "b": camera_at(20, 180)}
+    poses = board_poses(rng, board, 12)
+    told = {}
+    for name, camera in cameras.items():
+        seen = []
+        for i, pose in enumerate(poses):
+            ways = alternatives(view_of(board, camera, pose, f"frame {i}"), board)
+            seen.append(Detection(f"frame {i}", ways[rng.integers(len(ways))], None))
+        found = TimedDetections((1280, 720), np.arange(12) / 30, tuple(seen))
+        told[name] = motion_of(found, board, camera)[1]
+
+    b_from_a = cameras["b"].camera_from_world @ cameras["a"].camera_from_world.inverse()
+    np.testing.assert_allclose(told["b"], b_from_a.apply(told["a"]), atol=1e-4)
 
 
 def test_no_view_where_a_frame_beside_the_moment_shows_none() -> None:

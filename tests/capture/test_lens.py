@@ -12,6 +12,7 @@ from facewright.capture.lens import (
     LENS_MODELS,
     BoardView,
     LensCalibration,
+    board_pose,
     calibrate_board,
     coverage,
     point_sd_mm,
@@ -107,18 +108,47 @@ def test_the_stated_covariance_is_that_of_repetition(repeated: list[LensCalibrat
     assert np.mean([f.sd_px for f in repeated]) == pytest.approx(SD, rel=0.01)
 
 
-def test_stated_millimetres_are_those_of_repetition(repeated: list[LensCalibration]) -> None:
+@pytest.mark.parametrize("gauge", ["rotation", "none"])
+def test_stated_millimetres_are_those_of_repetition(
+    repeated: list[LensCalibration], gauge: str
+) -> None:
     x, y = np.meshgrid(np.linspace(40, 1240, 7), np.linspace(40, 920, 5))
     at, distance = np.stack([x, y], axis=-1), 750.0
 
-    stated = np.sqrt(np.mean([point_sd_mm(f, at, distance) ** 2 for f in repeated], axis=0))
+    sds = [point_sd_mm(f, at, distance, gauge=gauge) for f in repeated]
+    stated = np.sqrt(np.mean(np.square(sds), axis=0))
 
-    places = np.array([f.camera.undistort(at) for f in repeated]) * distance
-    off = places - LENS.undistort(at) * distance
+    places = [f.camera.undistort(at) for f in repeated]
+    if gauge == "rotation":
+        places = [turned_back(f.camera, xy) for f, xy in zip(repeated, places, strict=True)]
+    off = (np.array(places) - LENS.undistort(at)) * distance
     seen = np.sqrt((off**2).mean(axis=(0, -1)))
     # each of 35 places has about 120 draws of two directions that go together
     np.testing.assert_allclose(seen / stated, 1, atol=0.3)
     assert np.sqrt((seen**2).mean() / (stated**2).mean()) == pytest.approx(1, abs=0.15)
+
+
+def turned_back(camera: Camera, xy: Floats) -> Floats:
+    """Ideal coordinates after the rotation that lays the camera's rays best over the true ones."""
+    x, y = np.meshgrid(np.linspace(40, 1240, 16), np.linspace(30, 930, 12))
+    grid = np.stack([x.ravel(), y.ravel()], axis=1)
+    turn, _ = Rotation.align_vectors(LENS.ray(grid), camera.ray(grid))
+    p = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ turn.as_matrix().T
+    return np.asarray(p[..., :2] / p[..., 2:])
+
+
+def test_a_shift_of_the_centre_is_harmless_to_whoever_finds_the_pose(
+    repeated: list[LensCalibration],
+) -> None:
+    at = np.array([[400.0, 300.0], [640.0, 480.0]])
+
+    turned, fixed = (point_sd_mm(repeated[0], at, 750.0, gauge=g) for g in ("rotation", "none"))
+
+    centre_mm = 750 * repeated[0]["cx"].sd / repeated[0]["fx"].value
+    assert (fixed > 0.5 * centre_mm).all()
+    assert (turned < 0.5 * fixed).all()
+    with pytest.raises(ValueError, match="gauge must be rotation or none"):
+        point_sd_mm(repeated[0], at, 750.0, gauge="pose")
 
 
 def test_millimetres_grow_with_distance_and_with_noise() -> None:
@@ -149,6 +179,40 @@ def test_a_model_as_plain_as_the_lens_is_chosen(true: str) -> None:
     assert order.index(enough) <= order.index(found.model) <= order.index("opencv4")
     wrong = [m for m in order if order.index(m) < order.index(enough)]
     assert all(found.held_out_px[m] > 1.01 * found.held_out_px[found.model] for m in wrong)
+
+
+def test_a_term_that_hides_in_the_residuals_but_bends_the_rest_is_estimated() -> None:
+    # tangential distortion passes for a shift of the centre: a hundredth of the residual is left
+    lens = Camera(SIZE, K, Rigid.identity(), "opencv", np.array([-0.22, 0.08, 2e-4, 2e-4, 0]))
+    held = camera_poses(BOARD, lens, 40, np.random.default_rng(5))
+
+    found = calibrate_board(views_of(held, sd=0.1, lens=lens), SIZE)
+
+    plain = found.held_out_px["radial2"] / min(found.held_out_px.values())
+    assert plain < 1.01, "too easy: the residuals tell"
+    assert found.model == "opencv4"
+    shift = np.abs([K[0, 2] - found["cx"].value, K[1, 2] - found["cy"].value])
+    assert (shift < 4 * np.array([found["cx"].sd, found["cy"].sd])).all()
+
+
+def test_a_model_that_cannot_predict_a_view_is_not_chosen() -> None:
+    # five views in the middle, one far out: fitted to the five, the richest model folds before it
+    rng = np.random.default_rng(0)
+    turns = Rotation.from_rotvec(rng.uniform(-0.5, 0.5, (5, 3))).as_matrix()
+    held = [Rigid.from_rotation(R, (*rng.uniform(-120, -80, 2), 900.0)) for R in turns]
+    held.insert(2, Rigid.from_rotation(np.eye(3), (200.0, 150.0, 800.0)))
+
+    found = calibrate_board(views_of(tuple(held), sd=0.3, lens=Camera(SIZE, K)), SIZE)
+
+    assert found.held_out_px["opencv8"] == np.inf
+    assert found.model in ("none", "radial1")
+
+
+def test_a_lens_that_does_not_reach_a_view_is_told() -> None:
+    folding = Camera(SIZE, K, Rigid.identity(), "opencv", np.array([-2.0, 0, 0, 0, 0]))
+    far_out = BoardView("corner", CORNERS, np.full((54, 2), 1200.0) + CORNERS[:, :2] / 10)
+    with pytest.raises(InputError, match="view corner: the lens's distortion folds"):
+        board_pose(far_out, folding)
 
 
 def test_a_view_whose_corners_are_in_a_wrong_order_is_thrown_out() -> None:

@@ -71,6 +71,7 @@ def test_all_markers_of_all_faces_are_named_right(
 def test_missing_markers_do_not_mix_up_the_others(
     faces: list[Floats], marker_set: MarkerSet, upright: bool
 ) -> None:
+    """Nothing is named wrong; at most one of them in ten faces is refused."""
     rng = np.random.default_rng(2)
 
     results = [
@@ -78,24 +79,55 @@ def test_missing_markers_do_not_mix_up_the_others(
         for n, face in zip([1, 2] * 6, faces[10:22], strict=True)
     ]
 
-    assert results == [(29, 0), (28, 0)] * 6
+    assert sum(wrong for _, wrong in results) == 0
+    assert sum(right for right, _ in results) >= 6 * (29 + 28) - 2
 
 
-def test_ghosts_among_the_markers_hardly_ever_take_a_name(
-    faces: list[Floats], marker_set: MarkerSet
-) -> None:
-    """A ghost beside the place of a missing marker cannot be told from it."""
+def test_ghosts_among_the_markers_take_no_name(faces: list[Floats], marker_set: MarkerSet) -> None:
+    """Beside the place of a missing marker a ghost could; then the name is mostly refused."""
     rng = np.random.default_rng(3)
 
-    ghosts = [count(rng, face, marker_set, upright=False, n_ghosts=2) for face in faces[:10]]
+    ghosts = [count(rng, face, marker_set, upright=False, n_ghosts=3) for face in faces[:15]]
     both = [
-        count(rng, face, marker_set, upright=False, n_missing=2, n_ghosts=2)
-        for face in faces[10:20]
+        count(rng, face, marker_set, upright=False, n_missing=3, n_ghosts=3) for face in faces[15:]
     ]
 
-    assert sum(right == 30 for right, _ in ghosts) >= 9
-    assert sum(result == (28, 0) for result in both) >= 8
-    assert max(wrong for _, wrong in ghosts + both) <= 2
+    assert sum(wrong for _, wrong in ghosts) == 0
+    assert sum(right for right, _ in ghosts) >= 0.98 * 15 * 30
+    assert sum(wrong for _, wrong in both) <= 1
+    assert sum(right for right, _ in both) >= 0.98 * 15 * 27
+
+
+@pytest.mark.parametrize(("glue_mm", "share"), [(2.0, 0.98), (3.0, 0.95)])
+def test_markers_glued_aside_are_named_or_refused(
+    faces: list[Floats], marker_set: MarkerSet, glue_mm: float, share: float
+) -> None:
+    """Nobody glues to the millimetre."""
+    rng = np.random.default_rng(4)
+
+    results = [
+        count(rng, face + rng.normal(0, glue_mm, face.shape), marker_set, upright=False)
+        for face in faces[:15]
+    ]
+
+    right, wrong = np.sum(results, axis=0)
+    assert wrong == 0
+    assert right >= share * 15 * 30
+
+
+def test_a_name_that_two_points_might_have_is_refused(marker_set: MarkerSet) -> None:
+    """Two points at equal distances from where the marker belongs: neither is it for certain."""
+    template = np.array(template_positions(marker_set))
+    m = marker_set.labels.index("cheek_l")
+    out = template[m] / np.linalg.norm(template[m])
+    points = np.concatenate([np.delete(template, m, axis=0), [template[m] + 3 * out]])
+    points = np.concatenate([points, [template[m] - 3 * out]])
+
+    found = label_constellation(points, marker_set)
+
+    assert "cheek_l" not in found.track_of_label
+    assert found.refused == ("cheek_l",)
+    assert len(found.track_of_label) == 29
 
 
 def test_the_fit_tells_scale_turn_and_place(faces: list[Floats], marker_set: MarkerSet) -> None:
@@ -108,6 +140,7 @@ def test_the_fit_tells_scale_turn_and_place(faces: list[Floats], marker_set: Mar
     np.testing.assert_allclose(found.rotation, R, atol=1e-9)
     np.testing.assert_allclose(found.translation, (10, 20, 900), atol=1e-6)
     assert found.mean_distance_mm < 1e-6
+    assert found.refused == ()
     assert label_constellation(faces[0], marker_set).mean_distance_mm > 0.5
 
 
@@ -136,18 +169,34 @@ def test_too_few_points_are_refused(marker_set: MarkerSet) -> None:
         label_constellation(template_positions(marker_set)[:5], marker_set)
 
 
-@pytest.mark.parametrize("what", ["cloud", "line", "one place", "ten times as large"])
+@pytest.mark.parametrize(
+    "what", ["cloud", "dense cloud", "grid", "line", "one place", "ten times as large"]
+)
 def test_what_is_no_face_is_refused(marker_set: MarkerSet, what: str) -> None:
     rng = np.random.default_rng(0)
     points = {
         "cloud": rng.uniform(-300, 300, size=(30, 3)),
+        "dense cloud": rng.uniform(-70, 70, size=(30, 3)),
+        "grid": np.stack(np.meshgrid(np.arange(6) * 20.0, np.arange(5) * 25.0, [0.0]), -1),
         "line": np.linspace(-80, 80, 30)[:, None] * np.array([0.2, 1.0, 0.3]),
         "one place": np.full((10, 3), 7.0),
         "ten times as large": 10 * template_positions(marker_set),
-    }[what]
+    }[what].reshape(-1, 3)
 
-    with pytest.raises(InputError, match="do not look like marker set"):
+    with pytest.raises(InputError, match="do not look like marker set kshirsagar"):
         label_constellation(points, marker_set)
+
+
+def test_of_two_faces_one_is_named_and_the_other_left_alone(
+    faces: list[Floats], marker_set: MarkerSet
+) -> None:
+    both = np.concatenate([faces[0], faces[1] @ turn(np.random.default_rng(0), upright=True)])
+    both[30:] += (400, 20, -30)
+
+    found = label_constellation(both, marker_set).track_of_label
+
+    rows = np.array([found[label] for label in marker_set.labels])
+    assert (rows == np.arange(30)).all() or (rows == np.arange(30) + 30).all()
 
 
 # ------------------------------------------------------------------------------- over a take
@@ -192,7 +241,10 @@ def expected_positions(true: Floats, pieces: list[tuple[int, int, int]]) -> Floa
 def test_markers_that_come_back_get_their_names_again(
     short_take: Take, true_positions: Floats
 ) -> None:
-    """Six are lost while the head and the face move, neighbours at the same time."""
+    """Six are lost while the head and the face move, neighbours at the same time.
+
+    A marker back for four frames only may be refused, but is never given another's name.
+    """
     T = len(true_positions)
     labels = ready_marker_set().labels
     lost = ("lip_upper_mid", "lip_upper_l", "lip_upper_r", "lid_upper_l", "lid_lower_l", "head_top")
@@ -201,11 +253,15 @@ def test_markers_that_come_back_get_their_names_again(
         gap = [(m, 0, 20), (m, T - 4, T)] if label in lost else [(m, 0, T)]
         pieces += gap
 
-    found, _ = label_tracks(tracks_of(short_take, true_positions, pieces), ready_marker_set())
+    found = label_tracks(
+        tracks_of(short_take, true_positions, pieces), ready_marker_set()
+    ).trajectories
 
     assert found.names == labels
-    np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))
+    expected = expected_positions(true_positions, pieces)
     seen = ~np.isnan(found.positions[..., 0])
+    np.testing.assert_array_equal(found.positions[seen], expected[seen])
+    assert (~np.isnan(expected[..., 0]) & ~seen).sum() <= 4
     np.testing.assert_array_equal(np.asarray(found.n_views) == 4, seen)
     assert found.residual_px is not None
     np.testing.assert_array_equal(~np.isnan(found.residual_px), seen)
@@ -218,9 +274,10 @@ def test_a_neutral_frame_amid_the_take_names_what_was_before_and_after(
     pieces = [(m, 0, T) for m in range(30) if m not in (3, 9)]
     pieces += [(3, 0, 6), (3, 9, T), (9, 0, 14), (9, 22, T)]
 
-    found, labelling = label_tracks(
+    whole = label_tracks(
         tracks_of(short_take, true_positions, pieces), ready_marker_set(), neutral_frame=12
     )
+    found, labelling = whole.trajectories, whole.labelling
 
     np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))
     assert set(labelling.track_of_label) == set(ready_marker_set().labels)
@@ -230,9 +287,8 @@ def test_a_marker_never_seen_is_nan_throughout(short_take: Take, true_positions:
     T = len(true_positions)
     pieces = [(m, 0, T) for m in range(30) if m != 7]
 
-    found, labelling = label_tracks(
-        tracks_of(short_take, true_positions, pieces), ready_marker_set()
-    )
+    whole = label_tracks(tracks_of(short_take, true_positions, pieces), ready_marker_set())
+    found, labelling = whole.trajectories, whole.labelling
 
     np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))
     assert ready_marker_set().labels[7] not in labelling.track_of_label
@@ -247,9 +303,9 @@ def test_a_track_of_nothing_on_the_face_is_left_out(
     late[18:] = true_positions[18:, 4] + (15, 10, 0)  # beside the marker that is lost
     lamp = np.tile([150.0, 120, -60], (T, 1))
 
-    found, _ = label_tracks(
+    found = label_tracks(
         tracks_of(short_take, true_positions, pieces, (late, lamp)), ready_marker_set()
-    )
+    ).trajectories
 
     np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))
 
@@ -289,6 +345,8 @@ def test_a_broken_track_does_not_lend_its_name_to_a_missing_neighbour(
     pieces = [(i, 0, T) for i in range(30) if i not in (m, neighbour)]
     pieces += [(neighbour, 0, 5), (neighbour, 7, T)]
 
-    found, _ = label_tracks(tracks_of(short_take, true_positions, pieces), ready_marker_set())
+    found = label_tracks(
+        tracks_of(short_take, true_positions, pieces), ready_marker_set()
+    ).trajectories
 
     np.testing.assert_array_equal(found.positions, expected_positions(true_positions, pieces))

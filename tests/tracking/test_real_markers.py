@@ -1,4 +1,4 @@
-"""Short gaps in real recordings of facial markers (AnimFace, 41 markers at 60 Hz)."""
+"""Real recordings of facial markers (AnimFace, 41 markers at 60 Hz): names, and short gaps."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from facewright.core.trajectories import Trajectories
+from facewright.tracking.constellation import find_constellation
+from facewright.tracking.face_variation import person_of_take
 from facewright.tracking.gaps import fill_gaps
 
 
@@ -47,3 +51,43 @@ def test_filled_gaps_of_real_markers_beat_straight_lines(real_data: Path, name: 
         assert filled.is_filled[rows, marker].all()
     rms = [float(np.sqrt(np.mean(np.square(e)))) for e in (cubic, straight)]
     assert rms[0] < 0.8 * rms[1], f"cubic {rms[0]:.3f} mm, straight {rms[1]:.3f} mm"
+
+
+def disturbed(
+    rng: np.random.Generator, face: NDArray[np.float64], missing: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """A face anywhere, larger or smaller, without some markers and with three ghosts.
+
+    Returns the points and whose each is, −1 for a ghost.
+    """
+    keep = rng.permutation(len(face))[round(missing * len(face)) :]
+    ghosts = rng.uniform(face.min(axis=0), face.max(axis=0), size=(3, 3))
+    points = np.concatenate([face[keep], ghosts])
+    owners = np.concatenate([keep, [-1, -1, -1]])
+    order = rng.permutation(len(points))
+    R, shift = Rotation.random(rng=rng).as_matrix(), rng.normal(0, 200, 3)
+    return rng.uniform(0.9, 1.1) * points[order] @ R.T + shift, owners[order]
+
+
+@pytest.mark.parametrize(("template", "other"), [("Jaw", "Cheeks"), ("Cheeks", "Jaw")])
+@pytest.mark.parametrize("missing", [0.0, 0.05, 0.1])
+def test_single_frames_are_named_from_the_other_take(
+    real_data: Path, template: str, other: str, missing: float
+) -> None:
+    """The markers were glued anew between the takes, up to 3 mm from where they were."""
+    folder = real_data / "facial_markers"
+    person = person_of_take(real_take(folder / f"{template}.csv"))
+    take = real_take(folder / f"{other}.csv")
+    rng = np.random.default_rng([11, round(100 * missing)])
+
+    right = wrong = visible = 0
+    for frame in rng.integers(len(take.time_s), size=12):
+        points, owners = disturbed(rng, np.asarray(take.positions[frame]), missing)
+        found = find_constellation(points, person).point_of_label
+        named = np.flatnonzero(found >= 0)
+        is_right = owners[found[named]] == named
+        right, wrong = right + int(is_right.sum()), wrong + int((~is_right).sum())
+        visible += int((owners >= 0).sum())
+
+    assert wrong <= (0 if missing < 0.1 else 1)
+    assert right >= 0.98 * visible, f"{right} of {visible} named"

@@ -14,6 +14,7 @@ import pytest
 
 from facewright.core.errors import FileFormatError, InputError
 from facewright.core.formats.c3d import read_c3d, write_c3d
+from facewright.core.formats.c3d_writer import C3dWriter
 from facewright.core.trajectories import Source, Trajectories
 
 T, M = 50, 4
@@ -317,6 +318,78 @@ def test_positions_beyond_32_bits_are_refused(tmp_path: Path) -> None:
     whole = Trajectories(np.arange(2) / 50, ("a",), np.full((2, 1, 3), 1e39))
     with pytest.raises(InputError, match="32-bit"):
         write_c3d(tmp_path / "a.c3d", whole)
+
+
+# --- Piece by piece ---
+
+
+def piece(whole: Trajectories, rows: slice) -> Trajectories:
+    assert whole.residual_px is not None and whole.n_views is not None
+    return Trajectories(
+        whole.time_s[rows],
+        whole.names,
+        whole.positions[rows],
+        None,
+        whole.source[rows],
+        whole.residual_px[rows],
+        whole.n_views[rows],
+    )
+
+
+def test_pieces_make_the_file_that_the_whole_makes(tmp_path: Path) -> None:
+    whole = take()
+    write_c3d(tmp_path / "a.c3d", whole)
+    assert whole.residual_px is not None
+    largest = float(np.nanmax(whole.residual_px))
+
+    writer = C3dWriter(tmp_path / "b.c3d", whole.names, 60.0, T, largest_residual_px=largest)
+    with writer:
+        for rows in (slice(0, 20), slice(20, 21), slice(21, T)):
+            writer.write(piece(whole, rows))
+
+    assert (tmp_path / "b.c3d").read_bytes() == (tmp_path / "a.c3d").read_bytes()
+
+
+def test_pieces_that_are_too_few_too_many_or_others_leave_no_file(tmp_path: Path) -> None:
+    whole = take()
+    others = take(markers=M + 1)
+
+    def writing(*pieces: Trajectories) -> None:
+        names = whole.names
+        with C3dWriter(tmp_path / "a.c3d", names, 60.0, T, largest_residual_px=1.0) as writer:
+            for part in pieces:
+                writer.write(part)
+
+    with pytest.raises(ValueError, match="49 frames came, 50 were promised"):
+        writing(piece(whole, slice(0, 49)))
+    with pytest.raises(ValueError, match="more frames than the 50"):
+        writing(whole, piece(whole, slice(0, 1)))
+    with pytest.raises(ValueError, match="the markers that the file was begun with"):
+        writing(others)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_residuals_beyond_the_stated_largest_are_cut(tmp_path: Path) -> None:
+    residual = np.array([[0.5], [3.0]])
+    whole = Trajectories(np.arange(2) / 50, ("a",), np.ones((2, 1, 3)), residual_px=residual)
+    with C3dWriter(tmp_path / "a.c3d", ("a",), 50.0, 2, largest_residual_px=1.0) as writer:
+        writer.write(whole)
+    found = read_c3d(tmp_path / "a.c3d").residual_px
+    np.testing.assert_allclose(found, [[0.5], [1.0]], atol=1 / 254)  # type: ignore[arg-type]
+    assert not read_c3d(tmp_path / "a.c3d").is_filled.any()
+
+
+@pytest.mark.parametrize("count", [255, 256, 700])
+def test_ezc3d_reads_many_names_over_several_parameters(tmp_path: Path, count: int) -> None:
+    """A parameter has room for 255; the library knows LABELS2 and so on too."""
+    whole = take(4, count)
+    write_c3d(tmp_path / "a.c3d", whole)
+    peer = ezc3d.c3d(str(tmp_path / "a.c3d"))["parameters"]["POINT"]
+    labels = list(peer["LABELS"]["value"])
+    for number in range(2, 4):
+        if f"LABELS{number}" in peer:
+            labels += peer[f"LABELS{number}"]["value"]
+    assert tuple(labels) == whole.names
 
 
 # --- Damage ---
