@@ -112,7 +112,7 @@ def row(folder: Path, name: str, noise: float, crf: int | None, frames: int, see
     sigma, radius = SPOTS[name]
     path, truth = folder / "spots.mkv", []
     options = {"lossless": True} if crf is None else {"crf": crf}
-    with VideoWriter(path, SIZE, RATE_HZ, **options) as video:  # type: ignore[arg-type]
+    with VideoWriter(path, SIZE, RATE_HZ, **options) as video:
         for image, centres in take(np.random.default_rng(seed), sigma, radius, noise, frames):
             video.write(image)
             truth.append(centres)

@@ -23,6 +23,7 @@ import platform
 import time
 import warnings
 from collections.abc import Callable
+from functools import partial
 
 import numba
 import numpy as np
@@ -142,7 +143,7 @@ def row(
     )
 
 
-@numba.njit(cache=False)  # type: ignore[untyped-decorator]
+@numba.njit(cache=False)
 def fit_all(windows, x, y, table, starts):  # type: ignore[no-untyped-def]
     """Our fit of windows of one size, one after another."""
     scratch = np.empty((3, len(x)), np.float32)
@@ -179,7 +180,7 @@ def batched(device: str, with_torch: bool) -> None:
         spots = start.copy()
         fit_all(flat[:2], x, y, profile_table(), spots[:2])
         spots = start.copy()
-        us = timed(lambda f=flat, s=spots: fit_all(f, x, y, profile_table(), s), once=True) / n
+        us = timed(partial(fit_all, flat, x, y, profile_table(), spots), once=True) / n
         rms = np.sqrt(((spots[:, [CX, CY]] - true) ** 2).mean())
         cells = [f"{us:.2f} ({rms:.4f})"]
         if with_torch:

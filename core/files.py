@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from .errors import FileFormatError
+from .errors import FileFormatError, InputError
 
 #: No text file of ours is larger than this; a larger one is refused before it is read.
 MAX_TEXT_BYTES = 512 * 1024 * 1024
@@ -53,3 +53,28 @@ def read_text(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> str:
     if size > max_bytes:
         raise FileFormatError(path, "file", f"at most {max_bytes} bytes", f"{size} bytes")
     return path.read_bytes().decode("utf-8", "replace")
+
+
+@contextmanager
+def alone_in(folder: Path) -> Iterator[None]:
+    """Hold a folder against other runs, where the system can; it is made if it is not there.
+
+    Raises
+    ------
+    InputError
+        If another process holds it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        import fcntl
+    except ImportError:  # not a POSIX system
+        yield
+        return
+    lock = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise InputError(f"{folder}: another run is working in this folder") from None
+    finally:
+        os.close(lock)

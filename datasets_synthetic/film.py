@@ -7,12 +7,11 @@ take's own files appear when all are whole.
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -22,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.audio import write_audio
-from ..core.errors import InputError
+from ..core.files import alone_in
 from ..core.formats.markers_toml import write_marker_set
 from ..core.formats.rig_json import write_rig
 from ..core.markers import MarkerSet
@@ -89,26 +88,8 @@ def film_take(
     InputError
         If another run is filming into the folder.
     """
-    with _alone_in(folder):
+    with alone_in(folder):
         return _film(take, folder, keep_vertices, on_frame, on_resume)
-
-
-@contextmanager
-def _alone_in(folder: Path) -> Iterator[None]:
-    """Two runs would tread on each other's pieces."""
-    try:
-        import fcntl
-    except ImportError:  # not a POSIX system
-        yield
-        return
-    lock = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError:
-        raise InputError(f"{folder}: another run is filming into this folder") from None
-    finally:
-        os.close(lock)
 
 
 def _film(

@@ -8,17 +8,14 @@ it begins anew.
 from __future__ import annotations
 
 import json
-import os
 import shutil
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import InputError
 from ..core.files import atomic_path, atomic_write
 from ..core.trajectories import Trajectories
 
@@ -107,25 +104,6 @@ class ChunkFiles:
 
     def _path(self, kind: str, index: int) -> Path:
         return self.folder / f"{kind}_{index:05d}.npz"
-
-
-@contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """Two runs would tread on each other's chunks; InputError for the second."""
-    folder.mkdir(parents=True, exist_ok=True)
-    try:
-        import fcntl
-    except ImportError:  # not a POSIX system
-        yield
-        return
-    lock = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
-    except BlockingIOError:
-        raise InputError(f"{folder}: another run is working on this take") from None
-    finally:
-        os.close(lock)
 
 
 def file_facts(path: Path) -> list[int | str]:

@@ -113,4 +113,4 @@ def _blind(frame: FrameDots, cameras: set[int]) -> FrameDots:
 
 
 def _without(note: str) -> str:
-    return f"{note}; from then on it is left out: refine the rig to use it (refine_rig)"
+    return f"{note}; from then on it is left out: refine the rig to use it (--refine-rig)"

@@ -19,13 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.files import alone_in
 from ..core.formats.c3d_writer import C3dWriter
 from ..core.markers import MarkerSet
 from ..core.person import Person
 from ..core.rig import Rig
 from ..core.trajectories import Trajectories
 from .blobs import BlobSettings
-from .chunk_files import ChunkFiles, alone_in, file_facts, part_folder
+from .chunk_files import ChunkFiles, file_facts, part_folder
 from .chunk_joins import JoinedChunks, unlabelled_columns
 from .chunk_labels import ChunkLabeller
 from .dot_streams import stream_dots

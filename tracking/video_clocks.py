@@ -187,5 +187,5 @@ def _sound_note(name: str, path: Path, info: VideoInfo) -> str:
     return (
         f"{name}: pictures of {info.duration_s:.1f} s beside {sound_s:.1f} s of sound: if it was "
         f"filmed at {meant:.4g} frames/s, not at the {info.rate_hz:.4g} that the file says, say so "
-        "(rate_hz)"
+        "(--rate)"
     )

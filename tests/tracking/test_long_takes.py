@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from facewright.core.errors import FileFormatError, InputError
+from facewright.core.files import alone_in
 from facewright.core.formats.c3d import read_c3d
 from facewright.core.formats.markers_toml import read_marker_set
 from facewright.core.formats.rig_json import read_rig
@@ -25,7 +26,7 @@ from facewright.core.video_writer import VideoWriter
 from facewright.datasets_synthetic.film import FilmedTake
 from facewright.datasets_synthetic.rigs import face_rig
 from facewright.datasets_synthetic.takes import Take, take_truth
-from facewright.tracking.chunk_files import ChunkFiles, alone_in, part_folder
+from facewright.tracking.chunk_files import ChunkFiles, part_folder
 from facewright.tracking.long_takes import LongSettings, track_long
 
 Floats = NDArray[np.float64]
@@ -180,13 +181,13 @@ def test_a_second_run_on_the_same_take_is_refused(
     with alone_in(part_folder(out)):
         code = (
             "import sys; from pathlib import Path;"
-            "from facewright.tracking.chunk_files import alone_in\n"
+            "from facewright.core.files import alone_in\n"
             "with alone_in(Path(sys.argv[1])): pass"
         )
         command = [sys.executable, "-c", code, str(part_folder(out))]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert done.returncode == 1
-    assert "another run is working on this take" in done.stderr
+    assert "another run is working in this folder" in done.stderr
 
 
 def test_bad_input_leaves_nothing_behind(videos: list[Path], rig: Rig, tmp_path: Path) -> None:

@@ -77,6 +77,7 @@ def test_two_exchanged_videos_are_named(rig: Rig, a: str, b: str) -> None:
         check_rig(rig, dots(truth, [exchanged] * len(truth)))
 
 
+@pytest.mark.slow
 def test_the_rig_of_another_take_is_refused(rig: Rig) -> None:
     truth = face_in_motion(np.random.default_rng(2))
     other = face_rig(np.random.default_rng(99))

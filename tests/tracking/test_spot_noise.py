@@ -32,7 +32,8 @@ def test_size_and_correlation_are_those_put_in(scale: float, correlation: float)
 
     found = place_noise(paths, sd)
 
-    assert found.scale == pytest.approx(scale, rel=0.1)
+    # up to 9 % are added for errors that last longer than windows, which these have not
+    assert 0.95 * scale < found.scale < 1.16 * scale
     assert found.correlation == pytest.approx(correlation, abs=0.08)
 
 
@@ -45,7 +46,7 @@ def test_gaps_and_jerks_do_not_spoil_it() -> None:
 
     found = place_noise(paths, sd)
 
-    assert found.scale == pytest.approx(2.0, rel=0.1)
+    assert 1.9 < found.scale < 2.3
 
 
 def test_too_little_to_tell_is_refused() -> None:
