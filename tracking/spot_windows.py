@@ -201,7 +201,7 @@ def _neighbours(components, i, reach, near):  # type: ignore[no-untyped-def]
         ):
             near[n] = k
             n += 1
-    return n
+    return 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -327,7 +327,7 @@ def _parted(image, c, others, level, clip, table, scratch, found):  # type: igno
             _copy(parts, found, n)
     for j in range(n):
         found[j, S_AREA], found[j, COMPONENT] = c[AREA] / n, row
-    return n
+    return 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
