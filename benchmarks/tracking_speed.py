@@ -3,10 +3,10 @@
     python benchmarks/tracking_speed.py TAKE_DIR [TAKE_DIR ...] [--repeats 5]
 
 TAKE_DIR is a folder of `facewright synth take` (or demo); give one of a low and one of a high bit
-rate (``--set video.max_bit_rate=25000000 --set video.crf=1``). The whole way is timed, from videos
-to `.fap`: decode, find dots, track, label, fill, write C3D, head motion, FAPs. Peers run on the
-same decoded pictures in the same run: OpenCV's SimpleBlobDetector and trackpy's locate; accuracy
-stands beside time.
+rate (``--settings`` a file with ``max_bit_rate = 25000000`` and ``crf = 1`` under ``[video]``). The
+whole way is timed, from videos to `.fap`: decode, find dots, track, label, fill, write C3D, head
+motion, FAPs. Peers run on the same decoded pictures in the same run: OpenCV's SimpleBlobDetector
+and trackpy's locate; accuracy stands beside time.
 """
 
 from __future__ import annotations

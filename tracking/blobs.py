@@ -16,11 +16,12 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from .spot_components import fit_components
 from .spot_fit import AMP, BACK, SHARP, WXX, WXY, WYY
 from .spot_noise import spot_covariances
 from .spot_profiles import profile_table
 from .spot_scan import scan
-from .spot_windows import CLIPPED, S_AREA, fit_components
+from .spot_windows import CLIPPED, S_AREA
 
 MAX_BLOBS = 4096  # in one picture; more is not a marker take
 #: `BlobSettings.weights` and `.offset` of luma for markers brighter, and darker, than the skin.

@@ -35,6 +35,8 @@ _ROW_LENGTH = np.uint32(3 * (Q_MAX * Q_STEPS + 2))  # of the flat table
 _TO_SLOPE, _TO_SHARP = (np.uint64(n * (Q_MAX * Q_STEPS + 2)) for n in (SLOPE, BY_SHARPNESS))
 _NEXT = np.uint64(1)
 _Q_STEPS, _LAST_PLACE = np.float32(Q_STEPS), np.float32(Q_MAX * Q_STEPS)
+#: Whatever a pixel's numbers are, NaN included, no place outside the table is read.
+_LAST_ROW, _LAST_COLUMN = np.uint32(N_SHARPNESS - 1), np.uint32(Q_MAX * Q_STEPS)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -59,7 +61,7 @@ def fit_spot(x, y, grey, clip, table, spot, scratch):  # type: ignore[no-untyped
     odd : (4, 4) float64
         Normal equations of centre and slopes, for noise of variance 1.
     squares : float
-        Sum of squared residuals.
+        Sum of squared residuals; infinite where the pixels do not determine a spot.
     """
     odd, even = np.empty((4, 4)), np.empty((6, 6))
     odd_right, even_right, step = np.empty(4), np.empty(6), np.zeros(N_SPOT)
@@ -89,12 +91,14 @@ def fit_spot(x, y, grey, clip, table, spot, scratch):  # type: ignore[no-untyped
         odd[3, 3] += slope_prior
         right = odd_right.copy()
         if not (_solve(odd.copy(), right) and _solve(even, even_right)):
-            return False, odd, squares
+            return False, odd, np.inf
         step[CX], step[CY] = right[0], right[1]
         step[BX], step[BY] = right[2] - spot[BX], right[3] - spot[BY]
         step[BACK] = even_right[0]
         for i in range(1, 6):
             step[AMP - 1 + i] = even_right[i]
+        if not np.isfinite(step.sum()):
+            return False, odd, np.inf
         _take_step(spot, last, step, 1.0)
         moved = np.hypot(step[CX], step[CY])
         noisy_px2 = noise2 / (odd[0, 0] + odd[1, 1])
@@ -164,6 +168,7 @@ def model_of(x, y, table, spot, scratch):  # type: ignore[no-untyped-def]
     for i in range(len(x)):
         row_place, place = value[i], slope[i]
         row, column = np.uint32(row_place + half), np.uint32(place)
+        row, column = min(row, _LAST_ROW), min(column, _LAST_COLUMN)
         ds = (row_place - np.float32(row)) * _S_STEP
         u = place - np.float32(column)
         k = np.uint64(row * _ROW_LENGTH + column)
