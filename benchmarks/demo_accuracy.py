@@ -20,16 +20,20 @@ import cv2
 import numpy as np
 
 from facewright import __version__
-from facewright.cli.evaluation import Stage, evaluate, load_truth
+from facewright.cli.evaluation import Stage, evaluate, fap_errors_percent, load_truth
+from facewright.core.clip import Clip
 from facewright.core.formats.markers_toml import read_marker_set
 from facewright.core.formats.rig_json import read_rig
+from facewright.core.markers import MarkerSet
+from facewright.core.mpeg4 import fap_by_name
+from facewright.core.trajectories import Trajectories
 from facewright.core.video import probe_video
 from facewright.datasets_synthetic.film import FilmedTake, film_take
 from facewright.datasets_synthetic.take_settings import TakeSettings
 from facewright.datasets_synthetic.takes import make_take
 from facewright.tracking.gaps import fill_gaps
 from facewright.tracking.labelling import label_tracks
-from facewright.tracking.performance import analyse, estimate_fapu
+from facewright.tracking.performance import TrackedPerformance, analyse, estimate_fapu
 from facewright.tracking.videos import track_videos, warm_up
 
 
@@ -62,6 +66,8 @@ def judge_seed(seed: int, seconds: float, takes: Path | None) -> list[Stage]:
         stages = evaluate(filmed.videos, truth, labelled, performance)
         estimated = estimate_fapu(performance.neutral.positions, marker_set).as_dict().values()
         off = float(100 * np.abs(np.array(list(estimated)) / truth["fapu"] - 1).max())
+        measured = where_seen(performance, labelled, marker_set)
+        seen = max(fap_errors_percent(measured, truth).values())
         n = len(truth["time_s"]) * len(filmed.videos)
         rates = [p.stat().st_size * 8e-6 / probe_video(p).duration_s for p in filmed.videos]
     return [
@@ -69,8 +75,22 @@ def judge_seed(seed: int, seconds: float, takes: Path | None) -> list[Stage]:
         Stage("filming", "largest video", "Mbit/s", max(rates), 2.0),
         Stage("tracking", "camera frames per second", "1/s", n / tracking_s, 120, at_least=True),
         *stages,
+        Stage("FAPs", "tracked points while their markers are seen, worst", "%", seen),
         Stage("FAPs", "units if estimated from the markers, largest error", "%", off),
     ]
+
+
+def where_seen(found: TrackedPerformance, markers: Trajectories, marker_set: MarkerSet) -> Clip:
+    """The FAPs of observed points, only where a FAP's own marker was measured."""
+    of_point = marker_set.label_by_feature_point
+    values = {}
+    for name in found.faps.channels:
+        points = [p for p in fap_by_name()[name].feature_points if p in of_point]
+        if name in found.approximated or not points:
+            continue
+        is_measured = markers.select(tuple(of_point[p] for p in points)).is_measured.all(axis=1)
+        values[name] = np.where(is_measured, found.faps[name], np.nan)
+    return Clip(found.faps.time_s, tuple(values), np.column_stack(list(values.values())))
 
 
 def main() -> None:
@@ -101,6 +121,8 @@ def main() -> None:
     ]
     for (stage_name, quantity), stages in values.items():
         v = np.array([s.value for s in stages])
+        if np.isnan(v).all():  # takes that were filmed before tell no speed
+            continue
         at_least, limit = stages[0].at_least, stages[0].limit
         lowest = at_least or quantity.endswith(("per second", "found"))
         worst = np.nanmin(v) if lowest else np.nanmax(v)

@@ -126,7 +126,8 @@ def check_rig(rig: Rig, frames: Sequence[FrameDots]) -> RigVerdict:
     ]
     raise InputError(
         f"few of the dots of {', '.join(lost)} meet those of other cameras in space: is the "
-        "camera rig of this take, is each video named after its camera, has a camera moved?"
+        "camera rig of this take, is each video named after its camera, has a camera moved, did "
+        "all videos start at the same instant?"
     )
 
 
