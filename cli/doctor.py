@@ -62,7 +62,6 @@ DEPENDENCIES = (
     Dependency("opencv-python-headless", "cv2"),
     Dependency("av", "av"),
     Dependency("soundfile", "soundfile"),
-    Dependency("ezc3d", "ezc3d"),
     Dependency("open3d", "open3d"),
     Dependency("libusb-package", "libusb_package"),
     Dependency("pygltflib", "pygltflib"),
@@ -233,10 +232,15 @@ def _gpu() -> Iterator[Finding]:
 
 
 def _optional_parts() -> Iterator[Finding]:
-    has_plots = util.find_spec("matplotlib") is not None
-    found = metadata.version("matplotlib") if has_plots else "not installed: no plots"
-    advice = "" if has_plots else 'pip install "facewright[plot]"'
-    yield Finding("matplotlib", has_plots, False, found, advice)
+    for name, package, extra, without in (
+        ("matplotlib", "matplotlib", "plot", "no plots"),
+        ("pxr", "usd-core", "usd", "no USD files"),
+        ("viser", "viser", "live", "no view --live"),
+    ):
+        is_there = util.find_spec(name) is not None
+        found = metadata.version(package) if is_there else f"not installed: {without}"
+        advice = "" if is_there else f'pip install "facewright[{extra}]"'
+        yield Finding(package, is_there, False, found, advice)
     from ..heads.face_network import INSTALL_NETWORKS, INSTALL_SMALL_FACES
 
     for name, package, install in (

@@ -42,8 +42,7 @@ def find_head(name_or_file: str, points: Path | None = None) -> Head:
     """The head a user means.
 
     Of a file the feature points are those of `points`, else of ``NAME.points.csv`` beside it
-    (which is said), else they are found; what is found is written beside the file as
-    ``NAME.points.csv``, which may be corrected by hand, and ``NAME.chart.png``, to look at.
+    (which is said), else they are found. Nothing is written: ``facewright head`` does that.
 
     Parameters
     ----------
@@ -68,11 +67,17 @@ def find_head(name_or_file: str, points: Path | None = None) -> Head:
         if points is not None:
             raise InputError(f"{points}: the built-in head {name_or_file} has its points already")
         return built_in_head(name_or_file)
-    return find_own_head(Path(name_or_file), points).head
+    own = find_own_head(Path(name_or_file), points)
+    if own.placed == "found":
+        note(
+            f"its feature points were placed by us: facewright head {name_or_file} --out DIR "
+            "shows them on a chart and keeps them in a file to correct"
+        )
+    return own.head
 
 
 def find_own_head(path: Path, points: Path | None = None) -> OwnHead:
-    """`find_head` of a file, with all that was found."""
+    """`find_head` of a file, with all that was found, which is said too."""
     from ..core.formats.head_points import read_head_points
     from ..heads.own_head import read_own_head
 
@@ -86,32 +91,4 @@ def find_own_head(path: Path, points: Path | None = None) -> OwnHead:
     own = read_own_head(path, known)
     for line in own.notes:
         note(f"{path.name}: {line}")
-    if known is None or not set(own.head.feature_points.names) <= set(known):
-        _write_beside(path, own, beside if points != beside else None)
     return own
-
-
-def _write_beside(path: Path, own: OwnHead, points: Path | None) -> None:
-    """Write the points and the chart beside a head, or say that it is not possible.
-
-    `points` is None where the file that was read would be overwritten.
-    """
-    from ..core.formats.head_points import write_head_points
-    from ..heads.chart import feature_point_chart
-    from .pictures import write_png
-
-    chart = path.with_suffix(".chart.png")
-    written = []
-    try:
-        write_png(chart, feature_point_chart(own.head))
-        written.append(chart.name)
-        if points is not None:
-            write_head_points(points, own.points_in_file().items())
-            written.append(points.name)
-    except OSError as error:
-        note(f"feature points were found, but {error.filename or chart} cannot be written")
-    if written:
-        note(
-            f"wrote {' and '.join(written)} beside {path.name}: look at the chart; points may be "
-            "corrected in the .csv, which is then used"
-        )

@@ -20,6 +20,7 @@ from .demo import demo
 from .doctor import doctor
 from .errors import DebugOption, guarded
 from .faps import faps
+from .head import head as prepare_head
 from .info import info
 from .retarget import retarget
 from .synth_board import board
@@ -48,6 +49,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "track": track,
     "faps": faps,
     "animate": animate,
+    "head": prepare_head,
     "retarget": retarget,
     "view": view,
 }

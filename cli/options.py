@@ -29,7 +29,10 @@ NeutralOption = Annotated[
     ),
 ]
 HeadOption = Annotated[
-    str, typer.Option("--head", metavar="HEAD", help="A built-in head: see synth head --list.")
+    str,
+    typer.Option(
+        "--head", metavar="HEAD", help="A built-in head (see synth head --list) or a file of one."
+    ),
 ]
 MarkersOption = Annotated[
     str | None,

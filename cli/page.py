@@ -1,20 +1,16 @@
-"""One self-contained HTML page: the animated head beside the video, over its curves.
+"""One self-contained HTML page: animated heads beside videos, over their sound and curves.
 
-The page needs nothing but itself: the viewer, the models, the videos and the curves are inside,
-and its content security policy forbids the browser to fetch anything.
+The page needs nothing but itself: the viewer, the models, the videos, the sound and the curves are
+inside, and its content security policy forbids the browser to fetch anything.
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import io
-import json
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +24,24 @@ from ..core.formats.gltf import scene_from_glb
 from ..core.time_base import uniform_rate_hz
 from .drawing import Drawing
 from .page_channels import REGIONS, channel_entries, shown_first
+from .page_html import (
+    Block,
+    PageTable,
+    asset,
+    data_html,
+    notes_html,
+    packed,
+    policy,
+    scripts,
+    tables_html,
+)
+from .page_sound import PEAKS_HZ, PageSound, flac_bytes, peak_bytes
+
+__all__ = ["PageCurves", "PageModel", "PageSound", "PageTable", "PageVideo", "write_page"]
 
 #: Browsers keep text in strings of at most half a gibibyte; base64 adds a third.
 MAX_ITEM_BYTES = 300 * 1024 * 1024
-_BLOCK = 3 * 1024 * 1024  # bytes turned into base64 at a time; a multiple of 3
 _WEBM_SIGNATURE = b"\x1a\x45\xdf\xa3"
-_SCRIPTS = ("page_media.js", "page_plot.js", "page.js")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +58,16 @@ class PageModel:
     orbit : str
         Where it is looked at from: turn about the vertical, angle from it, distance; as
         model-viewer's ``camera-orbit``.
+    points : mapping from a point's name to where it is on the model's surface
+        Shown on demand. As model-viewer's ``data-surface``: mesh, primitive, three vertices, three
+        barycentric coordinates.
     """
 
     label: str
     glb: bytes
     start_s: float = 0.0
     orbit: str = "0deg 86deg 112%"
+    points: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +79,13 @@ class PageVideo:
     start_s: float = 0.0
 
 
-@dataclass(frozen=True)
-class PageTable:
-    """A table under the curves; columns whose cells are all numbers stand to the right."""
+@dataclass(frozen=True, eq=False)
+class PageCurves:
+    """Curves to plot. Channels of one name in several clips are plotted together, to compare."""
 
-    caption: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    label: str
+    clip: Clip
+    start_s: float = 0.0
 
 
 def write_page(
@@ -82,7 +94,8 @@ def write_page(
     title: str,
     models: Sequence[PageModel] = (),
     videos: Sequence[PageVideo] = (),
-    curves: Clip | None = None,
+    curves: Clip | Sequence[PageCurves] | None = None,
+    sound: PageSound | None = None,
     drawings: Sequence[Drawing] = (),
     tables: Sequence[PageTable] = (),
     notes: str = "",
@@ -94,8 +107,9 @@ def write_page(
     path : Path
     title : str
     models, videos : sequences, in the order shown
-    curves : Clip or None
+    curves : Clip, sequence of PageCurves, or None
         FAPs or any named channels; channels that are never set are left out.
+    sound : PageSound or None
     drawings : sequence of Drawing
     tables : sequence of PageTable
     notes : str
@@ -114,53 +128,106 @@ def write_page(
     for table in tables:
         if any(len(row) != len(table.header) for row in table.rows):
             raise ValueError(f"rows of {table.caption} must have {len(table.header)} cells")
+    listed = [PageCurves("", curves)] if isinstance(curves, Clip) else list(curves or ())
+    clips, clip_blocks = _clips(listed)
+    heard, sound_blocks = _sound(sound)
+    plays_video = sound is None or sound.is_in_video
     config: dict[str, Any] = {
         "models": [
-            {"id": f"model-{i}", "label": m.label, "start": m.start_s, "orbit": m.orbit}
+            {"id": f"model-{i}", "label": m.label, "start": m.start_s, "orbit": m.orbit,
+             "points": list(m.points.items())}
             for i, m in enumerate(models)
         ],
         "videos": [
-            {"id": f"video-{i}", "label": v.label, "start": v.start_s, "type": _video_type(v)}
+            {"id": f"video-{i}", "label": v.label, "start": v.start_s, "type": _video_type(v),
+             "hasSound": i == 0 and plays_video and _has_sound(v)}
             for i, v in enumerate(videos)
         ],
-        "rate": None if curves is not None else _frame_rate(models, videos),
-        "curves": None,
-    }
-    blocks = [(f"model-{i}", m.glb) for i, m in enumerate(models)]
-    blocks += [(f"video-{i}", v.mp4) for i, v in enumerate(videos)]
-    if curves is not None:
-        values = _set_channels(curves)
-        entries = channel_entries(values)
-        config["curves"] = {
-            "channels": entries,
-            "shown": shown_first(entries),
-            "regions": REGIONS,
-        }
-        by_channel = np.ascontiguousarray(values.values.T, dtype="<f4")
-        blocks.append(("curve-times", values.time_s.astype("<f8").tobytes()))
-        blocks.append(("curve-values", by_channel.tobytes()))
-    for name, data in blocks:
-        _check_size(name, data)
-    scripts = _scripts(has_models=bool(models))
+        "sound": heard,
+        "rate": None if listed else _frame_rate(models, videos),
+        "clips": clips,
+        "shown": _shown(clips),
+        "regions": REGIONS,
+    }  # fmt: skip
+    blocks = [packed(f"model-{i}", m.glb) for i, m in enumerate(models)]
+    blocks += [Block(f"video-{i}", v.mp4) for i, v in enumerate(videos)]
+    blocks += clip_blocks + sound_blocks
+    for block in blocks:
+        _check_size(block)
+    _write(path, title, config, blocks, drawings, tables, notes)
+
+
+def _write(
+    path: Path,
+    title: str,
+    config: dict[str, Any],
+    blocks: Sequence[Block],
+    drawings: Sequence[Drawing],
+    tables: Sequence[PageTable],
+    notes: str,
+) -> None:
+    modules = scripts(has_models=bool(config["models"]))
     parts: dict[str, Callable[[], Iterator[str]]] = {
         "title": lambda: iter([escape(title)]),
-        "policy": lambda: iter([escape(_policy(scripts))]),
-        "style": lambda: iter([_asset("page.css")]),
+        "policy": lambda: iter([escape(policy(modules))]),
+        "style": lambda: iter([asset("page.css")]),
         "drawings": lambda: (f'<div class="sheet">{d.svg()}</div>\n' for d in drawings),
-        "tables": lambda: iter([_tables_html(tables)]),
-        "notes": lambda: iter([_notes_html(notes)]),
-        "data": lambda: _data_html(config, blocks),
-        "scripts": lambda: (f'<script type="module">{text}</script>\n' for text in scripts),
+        "tables": lambda: iter([tables_html(tables)]),
+        "notes": lambda: iter([notes_html(notes)]),
+        "data": lambda: data_html(config, blocks),
+        "scripts": lambda: (f'<script type="module">{text}</script>\n' for text in modules),
     }
     with atomic_write(path) as stream:
         # split on the template's own marks, so that nothing put in is searched for marks again
-        for i, piece in enumerate(re.split(r"\{\{(\w+)\}\}", _asset("page.html"))):
+        for i, piece in enumerate(re.split(r"\{\{(\w+)\}\}", asset("page.html"))):
             stream.writelines([piece] if i % 2 == 0 else parts[piece]())
 
 
-def _asset(name: str) -> str:
-    text = files(__package__).joinpath("data", name).read_text(encoding="utf-8")
-    return text.replace("\r\n", "\n")  # as the browser reads it, and as the policy's hash needs it
+def _clips(curves: Sequence[PageCurves]) -> tuple[list[dict[str, Any]], list[Block]]:
+    """What the page is told of each clip, and the blocks of their times and values."""
+    told, blocks = [], []
+    for i, given in enumerate(curves):
+        clip = _set_channels(given.clip)
+        by_channel = np.ascontiguousarray(clip.values.T, dtype="<f4")
+        told.append(
+            {
+                "id": f"curves-{i}",
+                "label": given.label,
+                "start": given.start_s,
+                "channels": channel_entries(clip),
+            }
+        )
+        blocks.append(packed(f"curves-{i}-times", clip.time_s.astype("<f8").tobytes()))
+        blocks.append(packed(f"curves-{i}-values", by_channel.tobytes()))
+    return told, blocks
+
+
+def _shown(clips: Sequence[dict[str, Any]]) -> list[str]:
+    """Names of the channels plotted when the page opens."""
+    by_name: dict[str, dict[str, Any]] = {}
+    for clip in clips:
+        for entry in clip["channels"]:
+            by_name.setdefault(entry["name"], entry)
+    entries = list(by_name.values())
+    return [entries[i]["name"] for i in shown_first(entries)]
+
+
+def _sound(sound: PageSound | None) -> tuple[dict[str, Any] | None, list[Block]]:
+    """What the page is told of its sound, and the blocks of the sound and its picture."""
+    if sound is None:
+        return None, []
+    told = {
+        "label": sound.label,
+        "start": sound.start_s,
+        "duration": sound.audio.duration_s,
+        "peaksRate": PEAKS_HZ,
+        "isInVideo": sound.is_in_video,
+        "type": "audio/flac",
+    }
+    blocks = [packed("sound-peaks", peak_bytes(sound.audio))]
+    if not sound.is_in_video:
+        blocks.append(Block("sound", flac_bytes(sound.audio)))
+    return told, blocks
 
 
 # what goes in
@@ -174,16 +241,26 @@ def _check_media(models: Sequence[PageModel], videos: Sequence[PageVideo]) -> No
             raise InputError(f"video {video.label} is neither MP4 nor WebM: convert it first")
 
 
-def _check_size(name: str, data: bytes) -> None:
-    if len(data) > MAX_ITEM_BYTES:
+def _check_size(block: Block) -> None:
+    if len(block.data) > MAX_ITEM_BYTES:
         raise InputError(
-            f"{name} of the page takes {len(data) / 2**20:.0f} MiB, browsers bear "
+            f"{block.name} of the page takes {len(block.data) / 2**20:.0f} MiB, browsers bear "
             f"{MAX_ITEM_BYTES // 2**20}: make it shorter or smaller"
         )
 
 
 def _video_type(video: PageVideo) -> str:
     return "video/webm" if video.mp4.startswith(_WEBM_SIGNATURE) else "video/mp4"
+
+
+def _has_sound(video: PageVideo) -> bool:
+    import av
+
+    try:
+        with av.open(io.BytesIO(video.mp4)) as container:
+            return bool(container.streams.audio)
+    except av.FFmpegError:
+        return False  # what cannot be read is told of by `_frame_rate`, or by the browser
 
 
 def _frame_rate(models: Sequence[PageModel], videos: Sequence[PageVideo]) -> float | None:
@@ -210,95 +287,3 @@ def _set_channels(clip: Clip) -> Clip:
     """The clip without the channels that are never set."""
     columns = np.flatnonzero(~np.isnan(clip.values).all(axis=0))
     return Clip(clip.time_s, tuple(clip.channels[c] for c in columns), clip.values[:, columns])
-
-
-# what comes out
-
-
-def _scripts(*, has_models: bool) -> list[str]:
-    """The page's modules. Each is inline: a file:// page may not fetch modules."""
-    texts = ["\n".join(_asset(name) for name in _SCRIPTS)]
-    if has_models:
-        texts.insert(0, _asset("model-viewer.min.js"))
-    return [_inline(text) for text in texts]
-
-
-def _inline(script: str) -> str:
-    """A script that the HTML parser reads to its end and no debugger seeks a source map for."""
-    script = re.sub(r"\n//# sourceMappingURL=.*", "", script)
-    return re.sub(r"<(?=/script|script|!--)", r"\\x3c", script, flags=re.IGNORECASE)
-
-
-def _policy(scripts: Sequence[str]) -> str:
-    """The content security policy: these very scripts, and nothing from anywhere else."""
-    hashes = [
-        "'sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() + "'"
-        for text in scripts
-    ]
-    rules = {
-        "default-src": "'none'",
-        # and WebAssembly, which the viewer compiles from its own text
-        "script-src": " ".join([*hashes, "'wasm-unsafe-eval'"]),
-        "style-src": "'unsafe-inline'",  # the viewer's own, and colours of curves
-        "img-src": "data: blob:",
-        "media-src": "blob:",
-        "connect-src": "data: blob:",  # the viewer reads models and their textures from memory
-        "base-uri": "'none'",
-        "form-action": "'none'",
-    }
-    return "; ".join(f"{name} {value}" for name, value in rules.items())
-
-
-def _data_html(config: dict[str, Any], blocks: Sequence[tuple[str, bytes]]) -> Iterator[str]:
-    """Blocks of data; scripts by name, but of types that no browser runs."""
-    yield f'<script type="application/json" id="config">{_json(config)}</script>\n'
-    for name, data in blocks:
-        yield f'<script type="text/plain" id="{name}">'
-        for start in range(0, len(data), _BLOCK):
-            yield base64.b64encode(data[start : start + _BLOCK]).decode("ascii")
-        yield "</script>\n"
-
-
-def _json(value: Any) -> str:
-    """JSON that cannot end the script it stands in."""
-    text = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _tables_html(tables: Sequence[PageTable]) -> str:
-    if not tables:
-        return ""
-    return '<section class="tables">\n' + "\n".join(_table_html(t) for t in tables) + "\n</section>"
-
-
-def _table_html(table: PageTable) -> str:
-    is_number = [
-        bool(table.rows) and all(_is_number(row[c]) for row in table.rows)
-        for c in range(len(table.header))
-    ]
-
-    def line(cells: Sequence[str], tag: str) -> str:
-        scope = ' scope="col"' if tag == "th" else ""
-        kinds = [' class="number"' if right else "" for right in is_number]
-        return "".join(
-            f"<{tag}{scope}{kind}>{escape(cell)}</{tag}>"
-            for cell, kind in zip(cells, kinds, strict=True)
-        )
-
-    body = "".join(f"<tr>{line(row, 'td')}</tr>\n" for row in table.rows)
-    return (
-        f'<div class="card"><table><caption>{escape(table.caption)}</caption>\n'
-        f"<thead><tr>{line(table.header, 'th')}</tr></thead>\n<tbody>{body}</tbody></table></div>"
-    )
-
-
-def _is_number(cell: str) -> bool:
-    return re.fullmatch(r"\s*([-+−±]?[\d.,]+(e[-+]?\d+)?\s*%?|—|–|-|)\s*", cell, re.I) is not None
-
-
-def _notes_html(notes: str) -> str:
-    paragraphs = [p.strip() for p in re.split(r"\n\s*\n", notes) if p.strip()]
-    if not paragraphs:
-        return ""
-    text = "\n".join(f"<p>{escape(p)}</p>" for p in paragraphs)
-    return f'<section class="notes" aria-label="Notes">\n{text}\n</section>'

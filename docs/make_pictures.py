@@ -34,12 +34,14 @@ from facewright.capture import (
     point_sd_mm,
     tsai,
 )
+from facewright.cli.animate_plain import PlainOptions, run_plain
 from facewright.cli.calibration_plots import cameras_in_space, residual_field, uncertainty_map
 from facewright.cli.demo import demo
 from facewright.cli.drawing import Drawing
 from facewright.cli.track import track
 from facewright.core.boards import Board, parse_board
 from facewright.core.clip import Clip
+from facewright.core.formats.ply import PlyMesh, write_ply
 from facewright.core.formats.rig_json import read_rig
 from facewright.core.mesh import Mesh, vertex_normals
 from facewright.core.mpeg4 import fap_by_name
@@ -47,7 +49,9 @@ from facewright.core.rigid import Rigid
 from facewright.core.video import read_frames
 from facewright.datasets_synthetic.boards import board_truth, board_views, make_board_shots
 from facewright.datasets_synthetic.face_motion import FaceMotion
+from facewright.datasets_synthetic.film import film_take
 from facewright.datasets_synthetic.film_views import open_views
+from facewright.datasets_synthetic.foreign_heads import foreign_head
 from facewright.datasets_synthetic.photo_pictures import Photographer
 from facewright.datasets_synthetic.photo_points import mark_points, visible_points
 from facewright.datasets_synthetic.photos import PhotoSettings, plan_photos
@@ -65,6 +69,7 @@ from facewright.heads.expressions import expression_weights, viseme_weights
 from facewright.heads.head import Head
 from facewright.heads.identity import make_head, random_identity
 from facewright.heads.marker_sets import ready_marker_set
+from facewright.heads.own_head import read_own_head
 from facewright.heads.raycast import NO_HIT, RayScene
 from facewright.heads.render import HeadRenderer, portrait_camera
 from facewright.retarget.drive import HeadDrive
@@ -183,6 +188,40 @@ def expressions(_: Path) -> list[Path]:
         pose = Rigid(animation.motion.quaternion[0], animation.motion.translation[0])
         panels.append(_labelled(renderer.render(animation.vertices(0), camera, pose), name))
     return [_save(_grid(panels, 4), "expressions.jpg", width=1400)]
+
+
+def markerless(_: Path) -> list[Path]:
+    """A plain take: the actor, the landmarks that were followed, another head doing the same."""
+    settings = settings_with(settings_for("plain"), {"seconds": 4.0})
+    with tempfile.TemporaryDirectory() as folder:
+        take = film_take(make_take(601, settings), Path(folder))
+        video, out = take.videos[0], Path(folder) / "out"
+        video = video.rename(video.with_name("actor.mp4"))  # its camera is not known then
+        out.mkdir()
+        run_plain([video], None, out, PlainOptions(head=HEAD))
+        stills = [picture for _, picture in _frames_at(out / "preview.mp4", (0.9, 2.0, 3.2))]
+    return [_save(np.concatenate(stills), "markerless.webp", width=1200)]
+
+
+def own_heads(_: Path) -> list[Path]:
+    """A head of other topology, unit and axes: what is found on it, and how it moves."""
+    rng = np.random.default_rng(6)
+    person = make_head(random_identity(rng, "somebody"), texture_px=256)
+    foreign = foreign_head(person, rng, unit_mm=10.0)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "somebody.ply"
+        write_ply(path, PlyMesh(Mesh(foreign.vertices, foreign.triangles)), double=True)
+        head = read_own_head(path).head
+    drive = HeadDrive(head)
+    renderer, camera = HeadRenderer(head), portrait_camera(head, (420, 460))
+    panels = []
+    for name in ("neutral", "smile", "open jaw", "lids closed"):
+        animation = drive.animate(_clip(head, EXPRESSIONS[name]))
+        panels.append(_labelled(renderer.render(animation.vertices(0), camera), name))
+    return [
+        _save(feature_point_chart(head), "own_head_chart.webp", width=1400),
+        _save(_grid(panels, 4), "own_head_poses.webp", width=1400),
+    ]
 
 
 def marker_placement(_: Path) -> list[Path]:
@@ -567,6 +606,8 @@ MAKERS: Mapping[str, Callable[[Path], list[Path]]] = {
     "feature_points": feature_points,
     "heads": built_in_heads,
     "expressions": expressions,
+    "markerless": markerless,
+    "own_heads": own_heads,
     "markers": marker_placement,
     "cleaning": cleaning_report,
     "influence": influence,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ _PANEL_PX = (1000, 1200)
 _FONT, _TEXT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.42
 _ROW_PX = 17
 _VIEWS = (("front", 0.0), ("left", 1.25))
+_MARGIN = 0.04  # of the picture, that points keep from its edge
 _SEEN, _BEHIND = (255, 196, 60), (150, 170, 190)
 
 
@@ -64,11 +66,31 @@ def _chart(head: Head, points: Mapping[str, NDArray[np.float64]]) -> NDArray[np.
     renderer = HeadRenderer(head)
     panels = []
     for name, yaw in _VIEWS:
-        camera = portrait_camera(head, _PANEL_PX, yaw_rad=yaw)
-        panel = renderer.render(head.mesh.vertices, camera)
         shown = {n: p for n, p in points.items() if name == "front" or p[0] > -1.0}
+        camera = portrait_camera(head, _PANEL_PX, yaw_rad=yaw)
+        camera = _framing(camera, np.array(list(shown.values())))
+        panel = renderer.render(head.mesh.vertices, camera)
         panels.append(_labelled(panel, head, camera, shown))
     return np.concatenate(panels, axis=1)
+
+
+def _framing(camera: Camera, points: NDArray[np.float64]) -> Camera:
+    """The camera, or one that sees less near so that all points are in the picture.
+
+    A portrait ends on the neck; a mask has none, and its chin would be cut off.
+    """
+    size = np.array(camera.image_size, dtype=np.float64)
+    at = camera.project(points)
+    low, high = _MARGIN * size, (1 - _MARGIN) * size
+    if (at >= low).all() and (at <= high).all():
+        return camera
+    middle = (size - 1) / 2
+    first, last = np.minimum(at.min(axis=0), low), np.maximum(at.max(axis=0), high)
+    zoom = float(((high - low) / (last - first)).min())
+    K = np.array(camera.matrix)
+    K[:2, :2] *= zoom
+    K[:2, 2] = middle + zoom * (K[:2, 2] - (first + last) / 2)
+    return replace(camera, matrix=K)
 
 
 def _labelled(

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .head import Eye
+from .own_edges import eye_shows
 from .own_mesh import OwnMesh
-from .own_points import eye_shows
 from .own_shells import fitted_eye
+from .skin_surface import Surface
 from .subdivision import icosphere
 from .template import load_template, template_feature_points
-from .template_warp import LaidTemplate, Surface
+from .template_warp import LaidTemplate
 
 _BALL_STEPS = 4
 _BALL_BEHIND_MM = 0.4

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from .own_mesh import OwnMesh
 from .own_shells import expected_on_template
 from .raycast import RayScene
-from .template_warp import LaidTemplate, Similarity
+from .similarity import Similarity
+from .template_warp import LaidTemplate
 
 Floats = NDArray[np.float64]
 

@@ -22,27 +22,31 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.mesh import Mesh
 from .face_finder import FaceFinder
 from .head import Eye, Head
-from .identity import joints
-from .landmarks import template_landmarks
+from .head_facts import HeadFacts
+from .own_assembly import assembled
 from .own_eyes import with_eyes
+from .own_files import read_own_mesh
 from .own_frame import facing_out, in_head_axes, straightened, turned_mesh
-from .own_looks import own_appearance
-from .own_mesh import OwnMesh, read_own_mesh
-from .own_points import PlacedPoints, near_surface, place_points
+from .own_kept import kept_head
+from .own_mesh import OwnMesh, with_own_vertices
+from .own_points import PlacedPoints, place_points
 from .own_shells import expected_on, expected_on_template, skin_triangles, sort_shells
-from .own_start import head_start
-from .raycast import RayScene
-from .regions import REGIONS, template_regions
-from .template import load_template
-from .template_warp import LaidTemplate, Similarity, Surface, lay_template
+from .own_start import HeadStart, head_start, in_the_files_unit
+from .similarity import Similarity
+from .skin_surface import Surface
+from .template import template_feature_points
+from .template_warp import LaidTemplate, lay_template
 
 Floats = NDArray[np.float64]
 
-_REGION_NEAR_MM = 12.0
-_POOR_RMS_MM, _POOR_COVER = 2.5, 0.6
+#: Beyond these our face is no likely one, or does not lie on it. Measured: people 0.15 mm, 0.98 and
+#: 2 (standard deviations), a scanned head 0.5, 0.96 and 3, a mask 0.35, 0.84 and 2, a ball 1.05,
+#: 0.66 and 4.8, a person twice as tall 0.5, 0.92 and 5.4.
+_POOR_RMS_MM, _POOR_COVER, _ODD = 0.8, 0.75, 4.5
+_LIPS_TOGETHER = "it has no opening between the lips: they move together"
+_CHANGED = "it was changed since facewright wrote it: it is recognised anew"
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +61,8 @@ class OwnHead:
     unit_mm : float
         Of the file's numbers (of a .glb: of its metres × 1000).
     placed : str
-        How the feature points came about: ``"given"`` or ``"found"``.
+        How the feature points came about: ``"given"``, ``"found"``, or ``"kept"`` of a file that
+        facewright wrote.
     lips_part : bool
         Whether the mesh has a slit between the lips.
     notes : tuple of str
@@ -98,7 +103,8 @@ def read_own_head(
         At least three known points, in the file's axes and in its unit or millimetres: feature
         points (``"8.3"``), Farkas's landmarks (``"ch_l"``) or the plain names of
         `NAMED_LANDMARKS` (``"mouth_left"``). Feature points among them are taken as they are.
-        Without any the face is looked for on pictures of the mesh.
+        Without any the face is looked for on pictures of the mesh. A file of ours knows its
+        points; those given here correct them.
     finder : FaceFinder, optional
         Else a new one, if it is needed.
 
@@ -123,115 +129,135 @@ def own_head(
     finder: FaceFinder | None = None,
 ) -> OwnHead:
     """`read_own_head` of a mesh in memory."""
+    if mesh.facts is not None:
+        kept = _kept(mesh, mesh.facts, name, points)
+        if kept is not None:
+            return kept
+        mesh = replace(mesh, facts=None, notes=(*mesh.notes, _CHANGED))
     start = head_start(mesh, name, points, finder)
-    mesh, unit_mm, axes, notes = in_head_axes(mesh, start.template_from_file)
+    framed = _in_template_frame(mesh, start.template_from_file)
+    framed, laid, groups = _laid_and_sorted(framed, start)
+    framed, laid, groups, eyes = _with_origin_between_eyes(framed, laid, groups)
+    given = {n: framed.head_from_file.apply(p) for n, p in start.given.items()}
+    mesh = framed.mesh
+    skin = Surface(mesh.vertices, mesh.triangles[groups["skin"]])
+    placed = place_points(skin, mesh.vertices, mesh.triangles, groups, eyes, laid, given)
+    size = laid.placed.scale / framed.template_from_head.scale
+    head = assembled(mesh, name, groups, eyes, laid, placed.points, size)
+    if "7.1" in given:
+        head = replace(head, neck_pivot=given["7.1"])
+    unit_mm = framed.head_from_file.scale
+    in_mm = Similarity(unit_mm, np.eye(3), np.zeros(3))
+    return OwnHead(
+        head,
+        in_mm.after(framed.head_from_file.inverse()),
+        unit_mm,
+        start.how,
+        placed.lips_part,
+        (*mesh.notes, *framed.notes, *_said_of_parts(head, placed)),
+    )
+
+
+def _kept(
+    mesh: OwnMesh, facts: HeadFacts, name: str, points: Mapping[str, Floats] | None
+) -> OwnHead | None:
+    """The head of a file that we wrote; None if it must be recognised as any other."""
+    given: dict[str, Floats] = {}
+    if points is not None:
+        if not set(points) <= {*facts.points, *facts.landmarks, *template_feature_points().names,
+                               "7.1", "11.5"}:  # fmt: skip
+            return None
+        given = in_the_files_unit(mesh, name, points)
+    head = kept_head(mesh, given)
+    if head is None:
+        return None
+    note = "facewright wrote this head: its parts and points are known"
+    unmoved = Similarity(1.0, np.eye(3), np.zeros(3))
+    said = () if facts.lips_part else (_LIPS_TOGETHER,)
+    return OwnHead(
+        head, unmoved, 1.0, "kept", facts.lips_part, (note, *said, *_said_of_shapes(head))
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Framed:
+    """A mesh in the head's axes and mm, and where it and the template are."""
+
+    mesh: OwnMesh
+    head_from_file: Similarity
+    template_from_head: Similarity
+    notes: tuple[str, ...]
+
+
+def _in_template_frame(mesh: OwnMesh, template_from_file: Similarity) -> _Framed:
+    """Unit, axes and outside put right; the origin is still the file's."""
+    mesh, unit_mm, axes, notes = in_head_axes(mesh, template_from_file)
     head_from_file = Similarity(unit_mm, axes, np.zeros(3))
-    template_from_head = start.template_from_file.after(head_from_file.inverse())
+    template_from_head = template_from_file.after(head_from_file.inverse())
+    mesh, note = facing_out(mesh, template_from_head.apply(mesh.vertices))
+    return _Framed(mesh, head_from_file, template_from_head, (*notes, *note))
+
+
+def _laid_and_sorted(
+    framed: _Framed, start: HeadStart
+) -> tuple[_Framed, LaidTemplate, dict[str, NDArray[np.int32]]]:
+    """The template laid onto the skin, the shells told apart, the head set straight."""
+    mesh, template_from_head = framed.mesh, framed.template_from_head
     near = template_from_head.apply(mesh.vertices)
-    mesh, note = facing_out(mesh, near)
-    notes += note
     skin = skin_triangles(near, mesh.triangles, expected_on_template().face)
     laid = lay_template(
         Surface(near, mesh.triangles[skin]), landmarks=start.landmarks, anchors=start.anchors
     )
-    notes += _said_of_fit(laid)
     groups = sort_shells(
         near, mesh.triangles, mesh.labels, mesh.label_of_triangle, expected_on(laid.vertices)
     )
+    mesh, n_doubled = with_own_vertices(mesh, groups)
     straight, note = straightened(template_from_head, laid)
-    notes += note
-    laid = replace(laid, vertices=straight.after(template_from_head.inverse()).apply(laid.vertices))
-    mesh = turned_mesh(mesh, straight)
-    axes = straight.rotation @ axes
-    mesh, groups, eyes, note = with_eyes(mesh, groups, laid)
-    notes += note
+    if n_doubled:
+        note = (*note, "gums of both jaws are one shell: it is cut, so that the lower ones move")
+    in_head = straight.after(template_from_head.inverse())
+    laid = replace(laid, vertices=in_head.apply(laid.vertices))
+    framed = replace(
+        framed,
+        mesh=turned_mesh(mesh, straight),
+        head_from_file=straight.after(framed.head_from_file),
+        notes=(*framed.notes, *_said_of_fit(laid), *note),
+    )
+    return framed, laid, groups
+
+
+def _with_origin_between_eyes(
+    framed: _Framed, laid: LaidTemplate, groups: dict[str, NDArray[np.int32]]
+) -> tuple[_Framed, LaidTemplate, dict[str, NDArray[np.int32]], dict[str, Eye]]:
+    """Eyes measured or put in, and everything shifted so that the origin is between them."""
+    mesh, groups, eyes, note = with_eyes(framed.mesh, groups, laid)
     centre = (eyes["right"].centre + eyes["left"].centre) / 2
-    mesh = replace(mesh, vertices=mesh.vertices - centre)
+    shift = Similarity(1.0, np.eye(3), -centre)
+    framed = replace(
+        framed,
+        mesh=replace(mesh, vertices=mesh.vertices - centre),
+        head_from_file=shift.after(framed.head_from_file),
+        notes=(*framed.notes, *note),
+    )
     laid = replace(laid, vertices=laid.vertices - centre)
     eyes = {side: Eye(eye.centre - centre, eye.radius) for side, eye in eyes.items()}
-    head_from_file = Similarity(unit_mm, axes, -centre)
-    given = {n: head_from_file.apply(p) for n, p in start.given.items()}
-    placed = place_points(
-        Surface(mesh.vertices, mesh.triangles[groups["skin"]]),
-        mesh.vertices, mesh.triangles, groups, eyes, laid, given,
-    )  # fmt: skip
-    head = _assembled(
-        mesh, name, groups, eyes, laid, placed, laid.placed.scale / template_from_head.scale
-    )
-    if "7.1" in given:
-        head = replace(head, neck_pivot=given["7.1"])
-    notes += _said_of_parts(head, placed)
-    in_mm = Similarity(unit_mm, np.eye(3), np.zeros(3))
-    return OwnHead(
-        head,
-        in_mm.after(head_from_file.inverse()),
-        unit_mm,
-        start.how,
-        placed.lips_part,
-        (*mesh.notes, *notes),
-    )
-
-
-def _assembled(
-    mesh: OwnMesh,
-    name: str,
-    groups: Mapping[str, NDArray[np.int32]],
-    eyes: Mapping[str, Eye],
-    laid: LaidTemplate,
-    placed: PlacedPoints,
-    size: float,
-) -> Head:
-    looks, uv, uv_triangles = own_appearance(mesh, mesh.vertices, groups, eyes)
-    skin = Surface(mesh.vertices, mesh.triangles[groups["skin"]])
-    marks = near_surface(skin, laid.at(template_landmarks()))
-    jaw, neck = joints(laid.vertices, size)
-    return Head(
-        name=name,
-        mesh=Mesh(
-            mesh.vertices,
-            mesh.triangles,
-            uv,
-            uv_triangles,
-            groups,
-            skin.points_at(tuple(marks), np.array(list(marks.values()))),
-        ),
-        feature_points=placed.points,
-        eyes=eyes,
-        jaw_pivot=jaw,
-        neck_pivot=neck,
-        appearance=looks,
-        shape_names=mesh.shape_names,
-        shapes=mesh.shapes,
-        regions=_regions(mesh, groups["skin"], laid),
-    )
-
-
-def _regions(
-    mesh: OwnMesh, skin: NDArray[np.int32], laid: LaidTemplate
-) -> dict[str, NDArray[np.int32]]:
-    """The template's regions on the skin: each triangle has that of the template beside it."""
-    template = load_template()
-    of_template = np.full(len(template.triangles), -1)
-    regions = template_regions()
-    for i, name in enumerate(REGIONS):
-        of_template[regions[name]] = i
-    chosen = np.flatnonzero(of_template >= 0)
-    middles = mesh.vertices[mesh.triangles[skin]].mean(axis=1)
-    scene = RayScene(laid.vertices, template.triangles[chosen])
-    at, triangle, _ = scene.closest(middles)
-    region = of_template[chosen[triangle]]
-    region[np.linalg.norm(at - middles, axis=1) > _REGION_NEAR_MM] = -1
-    found = {name: skin[region == i] for i, name in enumerate(REGIONS)}
-    return {name: rows for name, rows in found.items() if len(rows)}
+    return framed, laid, groups, eyes
 
 
 def _said_of_fit(laid: LaidTemplate) -> tuple[str, ...]:
-    if laid.rms_mm > _POOR_RMS_MM or laid.covered < _POOR_COVER:
-        return (
-            f"our face fits it badly ({laid.rms_mm:.1f} mm off, {100 * laid.covered:.0f} % of it "
-            "has a surface): look at the chart and correct the feature points",
-        )
-    return ()
+    odd = []
+    if laid.rms_mm > _POOR_RMS_MM:
+        odd.append(f"{laid.rms_mm:.1f} mm off")
+    if laid.covered < _POOR_COVER:
+        odd.append(f"only {100 * laid.covered:.0f} % of it beside a surface")
+    if laid.unusual > _ODD:
+        odd.append(f"{laid.unusual:.0f} standard deviations from people's proportions")
+    if not odd:
+        return ()
+    return (
+        f"our face fits it badly ({', '.join(odd)}): look at the chart and correct the feature "
+        "points",
+    )
 
 
 def _said_of_parts(head: Head, placed: PlacedPoints) -> tuple[str, ...]:
@@ -239,12 +265,16 @@ def _said_of_parts(head: Head, placed: PlacedPoints) -> tuple[str, ...]:
     sizes = ", ".join(f"{part} {len(rows)}" for part, rows in head.mesh.groups.items())
     notes.append(f"its shells are taken for (triangles): {sizes}")
     if not placed.lips_part:
-        notes.append("it has no opening between the lips: they move together")
+        notes.append(_LIPS_TOGETHER)
     for side in ("right", "left"):
         if side not in placed.lids_open:
             notes.append(
                 f"nothing shows between its {side} lids: they move, but there is no eye to close"
             )
-    if head.shape_names:
-        notes.append(f"it has {len(head.shape_names)} shapes of its own")
-    return tuple(notes)
+    return (*notes, *_said_of_shapes(head))
+
+
+def _said_of_shapes(head: Head) -> tuple[str, ...]:
+    if not head.shape_names:
+        return ()
+    return (f"it has {len(head.shape_names)} shapes of its own",)

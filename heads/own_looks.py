@@ -16,12 +16,14 @@ from .appearance import Appearance
 from .appearance_traits import AppearanceTraits
 from .eye_paint import paint_eye
 from .head import Eye
-from .own_mesh import Look, OwnMesh
+from .own_mesh import Look, OwnMesh, shells
 from .texture_layout import EYE_FRONT_RAD, EYE_FRONT_SHARE
 
 Floats = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
+#: Lashes below the eye without a picture: dark strips there look like bruises.
+_LOWER_LASHES = "lower lashes"
 #: sRGB of parts that a file gives neither colour nor picture.
 _PLAIN = {
     "skin": (206, 163, 138),
@@ -32,10 +34,13 @@ _PLAIN = {
     "teeth_lower": (226, 218, 200),
     "tongue": (176, 96, 90),
     "other": (150, 140, 132),
+    _LOWER_LASHES: (190, 150, 128),
 }
 _SMALL_PX, _ONLY_PX, _TILE_PX = 16, 2048, 1024
 _INSET = 0.5  # texels from a tile's edge that no coordinate goes beyond
 _EYE_SEED = 1
+_BELOW_MM = 3.0
+_DARKER = 0.94
 
 
 def own_appearance(
@@ -61,18 +66,9 @@ def own_appearance(
     (U, 2) float64, (F, 3) int32
         Texture coordinates, origin at the bottom left, and the triangles' corners among them.
     """
-    part_of = np.full(len(mesh.triangles), len(_PLAIN) - 1)
-    parts = tuple(_PLAIN)
-    for name, rows in groups.items():
-        part_of[rows] = parts.index(name)
-    key = part_of * max(len(mesh.labels), 1) + mesh.label_of_triangle
-    tiles, tile_of = np.unique(key, return_inverse=True)
-    looks = [
-        _look(mesh, parts[k // max(len(mesh.labels), 1)], k % max(len(mesh.labels), 1))
-        for k in tiles.tolist()
-    ]
+    looks, tile_of = _tiles(mesh, _part_of(mesh, vertices, groups, eyes))
     atlas, boxes = _atlas(looks)
-    corner_uv = _corner_uv(mesh, tile_of.reshape(-1), looks, boxes, atlas.shape)
+    corner_uv = _corner_uv(mesh, tile_of, looks, boxes, atlas.shape)
     painted = None
     if _eyes_are_plain(mesh, groups):
         painted = paint_eye(AppearanceTraits(), np.random.default_rng(_EYE_SEED))
@@ -83,6 +79,65 @@ def own_appearance(
     both, inverse = np.unique(corner_uv @ np.array([1.0, 1j]), return_inverse=True)
     uv = np.stack([both.real, both.imag], axis=1)
     return Appearance(atlas, eye=painted), uv, inverse.reshape(-1, 3).astype(np.int32)
+
+
+def _part_of(
+    mesh: OwnMesh,
+    vertices: Floats,
+    groups: Mapping[str, NDArray[np.int32]],
+    eyes: Mapping[str, Eye],
+) -> NDArray[np.int64]:
+    """(F,): which row of `_PLAIN` each triangle belongs to."""
+    parts = tuple(_PLAIN)
+    found = np.full(len(mesh.triangles), parts.index("other"))
+    for name, rows in groups.items():
+        found[rows] = parts.index(name)
+    found[_lower_lashes(mesh, vertices, groups, eyes)] = parts.index(_LOWER_LASHES)
+    return found
+
+
+def _tiles(mesh: OwnMesh, part_of: NDArray[np.int64]) -> tuple[list[Look], NDArray[np.int64]]:
+    """Looks that differ, and which of them each triangle has."""
+    parts, n_labels = tuple(_PLAIN), max(len(mesh.labels), 1)
+    kinds, kind_of = np.unique(part_of * n_labels + mesh.label_of_triangle, return_inverse=True)
+    of_kind = [_look(mesh, parts[k // n_labels], k % n_labels) for k in kinds.tolist()]
+    skin = of_kind[int(np.argmax(kinds // n_labels == parts.index("skin")))]
+    for i, number in enumerate((kinds // n_labels).tolist()):
+        if parts[number] == _LOWER_LASHES and of_kind[i].picture is None:
+            of_kind[i] = _as_skin(skin)
+    keys = [(look.colour, id(look.picture)) for look in of_kind]
+    first = {key: i for i, key in reversed(list(enumerate(keys)))}
+    chosen = sorted(first.values())
+    tile = np.array([chosen.index(first[key]) for key in keys])
+    return [of_kind[i] for i in chosen], tile[kind_of.reshape(-1)]
+
+
+def _lower_lashes(
+    mesh: OwnMesh,
+    vertices: Floats,
+    groups: Mapping[str, NDArray[np.int32]],
+    eyes: Mapping[str, Eye],
+) -> NDArray[np.int32]:
+    """Triangles of the shells of lashes whose middle is below the eyes."""
+    none = np.zeros(0, np.int32)
+    if "lashes" not in groups or not eyes:
+        return none
+    rows = groups["lashes"]
+    below = [none]
+    for shell in shells(mesh.triangles[rows], len(vertices)):
+        y = vertices[mesh.triangles[rows[shell]]][..., 1]
+        if (y.min() + y.max()) / 2 < min(eye.centre[1] for eye in eyes.values()) - _BELOW_MM:
+            below.append(rows[shell])
+    return np.concatenate(below)
+
+
+def _as_skin(skin: Look) -> Look:
+    """A plain look a little darker than the skin."""
+    colour = np.array(skin.colour, dtype=np.float64)
+    if skin.picture is not None:
+        colour = colour / 255 * skin.picture.reshape(-1, 3).mean(axis=0)
+    r, g, b = (round(_DARKER * float(c)) for c in colour)
+    return Look((r, g, b))
 
 
 def _look(mesh: OwnMesh, part: str, label: int) -> Look:

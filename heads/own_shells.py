@@ -42,8 +42,9 @@ _MOUTH_LARGEST_MM = 100.0
 #: Half the width that a tongue fills and an arch of teeth leaves free, of the whole; and how much.
 _MIDDLE, _TONGUE_SHARE = 0.35, 0.12
 _ARCH_TALL_MM = 24.0
-#: What reaches further than this above and below the lips is the lining of the whole mouth.
-_LINING_MM = 14.0
+#: What reaches further than this above and below the lips, and is wider than any tongue (46 mm
+#: where arches are 61), is the lining of the whole mouth.
+_LINING_MM, _LINING_WIDE_MM = 14.0, 52.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,8 +200,8 @@ def _part_in_mouth(p: Floats, word: str, expected: Landmarks) -> str:
     if not inside or word in ("other", "lashes"):
         return ""
     above, below = p[:, 1].max() - expected.mouth[1], expected.mouth[1] - p[:, 1].min()
-    if min(above, below) > _LINING_MM:  # gums, tongue and all: parted by height
-        return "teeth"
+    if min(above, below) > _LINING_MM and size[0] > _LINING_WIDE_MM:
+        return "teeth"  # gums, tongue and all: parted by height
     if word in ("tongue", "teeth"):
         return word
     return "tongue" if _fills_the_middle(p) else "teeth"

@@ -20,8 +20,9 @@ from .own_mesh import OwnMesh
 from .own_views import find_face_on_mesh
 from .place_face_landmarks import template_face_landmarks
 from .raycast import RayScene
+from .similarity import Similarity
 from .template import load_template, template_feature_points
-from .template_warp import Similarity, known_points
+from .template_warp import known_points
 
 Floats = NDArray[np.float64]
 
@@ -52,7 +53,7 @@ def head_start(
     """
     template = load_template().vertices
     if points is not None:
-        given = _in_the_files_unit(mesh, name, points)
+        given = in_the_files_unit(mesh, name, points)
         known, places = known_points(given, named_points())
         if len(known) < _FEWEST_GIVEN:
             raise InputError(
@@ -109,7 +110,7 @@ def named_points() -> SurfacePoints:
     )
 
 
-def _in_the_files_unit(mesh: OwnMesh, name: str, points: Mapping[str, Floats]) -> dict[str, Floats]:
+def in_the_files_unit(mesh: OwnMesh, name: str, points: Mapping[str, Floats]) -> dict[str, Floats]:
     """Given points in the unit of the mesh's numbers: the one in which they lie on its surface."""
     scene = RayScene(mesh.vertices, mesh.triangles)
     surface = [n for n in points if n not in ("7.1", "11.5")]

@@ -80,11 +80,11 @@ def find_face_on_mesh(
     scene = _Drawn(vertices, triangles)
     best: FaceOnMesh | None = None
     for side in _SIDES:
-        up = (0.0, 1.0, 0.0) if side[1] == 0 else (0.0, 0.0, 1.0)
-        camera = scene.camera(scene.centre, scene.radius, np.array(side, float), np.array(up))
-        face = scene.look(camera, finder)
-        if face is not None and (best is None or face.presence > best.presence):
-            best = face
+        for up in _upwards(side):
+            camera = scene.camera(scene.centre, scene.radius, np.array(side, float), up)
+            face = scene.look(camera, finder)
+            if face is not None and (best is None or face.presence > best.presence):
+                best = face
         if best is not None and best.presence > _SURE_PRESENCE:
             break
     if best is None:
@@ -92,6 +92,13 @@ def find_face_on_mesh(
     for _ in range(2):  # the second time from the front that the first has found
         best = _looked_closely(scene, best, finder)
     return best
+
+
+def _upwards(side: tuple[int, int, int]) -> list[NDArray[np.float64]]:
+    """Four ways to hold the camera: a face that lies on its side is taken for another, unsurely."""
+    up = np.array((0.0, 1.0, 0.0) if side[1] == 0 else (0.0, 0.0, 1.0))
+    right = np.cross(up, np.array(side, float))
+    return [up, right, -up, -right]
 
 
 def _looked_closely(scene: _Drawn, face: FaceOnMesh, finder: FaceFinder) -> FaceOnMesh:

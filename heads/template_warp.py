@@ -19,12 +19,10 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
-from ..core.arrays import readonly
-from ..core.errors import InputError
 from ..core.mesh import SurfacePoints, vertex_normals
 from .face_model import FaceModel, face_model
-from .own_mesh import side_keys
-from .raycast import RayScene
+from .similarity import Similarity
+from .skin_surface import Surface
 
 Floats = NDArray[np.float64]
 
@@ -42,112 +40,6 @@ _LEAST_ALIKE = 0.55  # cosine between the normals of template and surface
 _WARP_ROUNDS = ((300.0, 6.0), (60.0, 4.0), (12.0, 3.0))
 _ANCHOR_WEIGHT = 400.0
 _ANCHOR_SD_MM = 0.4
-_ON_BORDER = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Similarity:
-    """A turn, a shift and a change of size: ``scale * rotation @ p + translation``."""
-
-    scale: float
-    rotation: Floats
-    translation: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rotation", readonly(self.rotation, (3, 3), "rotation"))
-        object.__setattr__(self, "translation", readonly(self.translation, (3,), "translation"))
-
-    def apply(self, points: Floats) -> Floats:
-        """Points (..., 3) moved."""
-        return np.asarray(self.scale * points @ self.rotation.T + self.translation)
-
-    def after(self, first: Similarity) -> Similarity:
-        """Another one first, then this."""
-        return Similarity(
-            self.scale * first.scale, self.rotation @ first.rotation, self.apply(first.translation)
-        )
-
-    def inverse(self) -> Similarity:
-        """The way back."""
-        back = self.rotation.T
-        return Similarity(1 / self.scale, back, -back @ self.translation / self.scale)
-
-    @classmethod
-    def between(cls, source: Floats, target: Floats) -> Similarity:
-        """The one that takes points nearest to others in the sense of least squares.
-
-        Parameters
-        ----------
-        source, target : (n, 3) float64
-            At least three, not on one line.
-
-        Raises
-        ------
-        InputError
-            If they are too few, or lie on one line or in one place.
-
-        References
-        ----------
-        S. Umeyama: Least-squares estimation of transformation parameters between two point
-        patterns, 1991, eqs. 40 to 43.
-        """
-        if len(source) < 3:
-            raise InputError(
-                f"at least 3 points are needed to lay the head straight, got {len(source)}"
-            )
-        a, b = source.mean(axis=0), target.mean(axis=0)
-        p, q = source - a, target - b
-        U, d, Vt = np.linalg.svd(q.T @ p / len(p))
-        for name, values in (("known", p), ("given", q)):
-            spread = np.linalg.svd(values, compute_uv=False)
-            if spread[1] < 0.05 * spread[0]:
-                raise InputError(
-                    f"the {name} points lie on one line: give points that span the face, such as "
-                    "the corners of the eyes, the tip of the nose and the corners of the mouth"
-                )
-        sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
-        R = U @ np.diag(sign) @ Vt
-        scale = float((d * sign).sum() / (p**2).sum(axis=1).mean())
-        return cls(scale, R, b - scale * R @ a)
-
-
-class Surface:
-    """The skin that is laid onto: closest points, normals, and whether they are on a border.
-
-    Parameters
-    ----------
-    vertices : (V, 3) float64, mm
-    triangles : (F, 3) int32
-        Counter-clockwise seen from outside.
-    """
-
-    def __init__(self, vertices: Floats, triangles: NDArray[np.int32]) -> None:
-        self.vertices, self.triangles = vertices, triangles
-        self.scene = RayScene(vertices, triangles)
-        self.normals = vertex_normals(vertices, triangles)
-        self._border = _border_sides(triangles)
-
-    def closest(self, points: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-        """Closest points (N, 3), unit normals there (N, 3), and whether each is on a border."""
-        at, triangle, b = self.scene.closest(points)
-        normals = np.einsum("nc,ncx->nx", b, self.normals[self.triangles[triangle]])
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        on_border = (self._border[triangle] & (b < _ON_BORDER)).any(axis=1)
-        return at, np.asarray(normals / np.maximum(length, 1e-12)), np.asarray(on_border)
-
-    def points_at(self, names: tuple[str, ...], places: Floats) -> SurfacePoints:
-        """The points of the surface that are closest to places (N, 3)."""
-        _, triangle, b = self.scene.closest(places)
-        b = np.clip(b, 0, 1)
-        return SurfacePoints(names, self.triangles[triangle], b / b.sum(axis=1, keepdims=True))
-
-
-def _border_sides(triangles: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """(F, 3): whether the side opposite each corner belongs to no other triangle."""
-    sides = np.stack([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]], axis=1)
-    keys = side_keys(sides.reshape(-1, 2), int(triangles.max(initial=0)) + 1)
-    _, inverse, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    return np.asarray(counts[inverse].reshape(-1, 3) == 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +58,15 @@ class LaidTemplate:
         smooth warp; large for what is no human head.
     covered : float
         Share of the face that has a surface beside it.
+    unusual : float
+        The largest of the model's components, in standard deviations among people.
     """
 
     vertices: Floats
     placed: Similarity
     rms_mm: float
     covered: float
+    unusual: float
 
     def at(self, points: SurfacePoints) -> dict[str, Floats]:
         """Points of the template, (3,) mm each, on the other head."""
@@ -207,7 +102,7 @@ def _fit_model(
     surface: Surface,
     landmarks: tuple[SurfacePoints, Floats] | None,
     anchors: tuple[SurfacePoints, Floats] | None,
-) -> tuple[Floats, Similarity, tuple[float, float]]:
+) -> tuple[Floats, Similarity, tuple[float, float, float]]:
     chosen = np.linspace(0, len(model.rows) - 1, min(_N_FITTED, len(model.rows))).astype(int)
     mean, basis, weight = model.mean[chosen], model.basis[:, chosen], model.weight[chosen]
     k = len(basis)
@@ -236,7 +131,8 @@ def _fit_model(
         placed = _stepped(placed, step[k:], here.mean(axis=0))
     face = weight >= 1.0
     rms = float(np.sqrt((r[face[good]] ** 2).mean())) if (face & good).any() else np.inf
-    return amounts, placed, (rms, float((face & good).sum() / face.sum()))
+    covered = float((face & good).sum() / face.sum())
+    return amounts, placed, (rms, covered, float(np.abs(amounts).max()))
 
 
 def _all_placed(model: FaceModel, amounts: Floats, placed: Similarity) -> Floats:

@@ -8,22 +8,19 @@ for the head itself.
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import heads
 from ..core.clip import Clip
 from ..core.errors import InputError
 from ..core.formats.live_link_csv import ARKIT_SHAPES
 from ..core.mpeg4 import ANGLE_UNIT_RAD, fap_table
+from .arkit_table import DirectRow, direct_table
 from .fap_rules import complete_faps
+
+__all__ = ["DirectRow", "direct_faps", "direct_table", "direct_weights", "is_arkit"]
 
 Floats = NDArray[np.float64]
 
@@ -35,35 +32,6 @@ _READ_FIRST = (
     "jawOpen", "mouthClose", "eyeLook", "jawLeft", "jawRight", "jawForward", "mouthLeft",
     "mouthRight", "mouthFunnel", "cheekSquint", "noseSneer",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class DirectRow:
-    """One shape's effect on one FAP.
-
-    Attributes
-    ----------
-    fap : str
-    amount : float, table units
-        At weight 1.
-    is_key : bool
-        Whether the shape is told by this FAP.
-    """
-
-    fap: str
-    amount: float
-    is_key: bool
-
-
-@cache
-def direct_table() -> Mapping[str, tuple[DirectRow, ...]]:
-    """ARKit name → FAPs: all 52, each with a key FAP at least."""
-    text = files(heads).joinpath("data", "arkit_faps.csv").read_text(encoding="utf-8")
-    found: dict[str, list[DirectRow]] = {name: [] for name in ARKIT_SHAPES}
-    for row in csv.DictReader(text.splitlines()):
-        fap = fap_table()[int(row["fap"]) - 1].name
-        found[row["shape"]].append(DirectRow(fap, float(row["amount"]), row["is_key"] == "1"))
-    return MappingProxyType({name: tuple(rows) for name, rows in found.items()})
 
 
 def is_arkit(clip: Clip) -> bool:

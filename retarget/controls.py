@@ -8,24 +8,40 @@ and ears that stays where it is.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..core.errors import InputError
-from ..core.mesh import SurfacePoints, vertex_normals
+from ..core.mesh import SurfacePoints
 from ..heads.head import Head
-from ..heads.raycast import NO_HIT, RayScene
+from .auxiliary_points import AuxiliaryModel, place_auxiliary_points
+from .boundary_points import (
+    REACH_MM,
+    joined_points,
+    mouth_cavity,
+    mouth_points,
+    ring_points,
+    size_of,
+)
 from .deformer import Constraint
 from .lid_points import LidPoint, place_lid_points
-from .surface_weights import surface_distances
+
+__all__ = [
+    "COMPLETIONS",
+    "LEAST_LID_SHARE",
+    "REACH_MM",
+    "SKIN_CONTROLS",
+    "TONGUE_CONTROLS",
+    "Controls",
+    "joined_points",
+    "place_controls",
+    "size_of",
+]
 
 #: Feature points of the skin by axis (x, y, z). F: moved by its FAP. J: carried by the jaw bone
 #: (F on the chin: by its FAP where given, else by the bone). L: on the lid's sphere. S: still.
 #: C: completed from its neighbours, as `COMPLETIONS` says. -: an ordinary vertex on that axis.
-#: Points that are not named are ordinary throughout.
+#: Points that are not named are ordinary throughout. A, in `Controls.letters` alone: found from
+#: what FAPs say (`auxiliary_points`).
 SKIN_CONTROLS = {
     "2.1": "FFF",  # FAPs 15, 3, 14
     "2.2": "-FF",  # 4, 17
@@ -119,15 +135,10 @@ COMPLETIONS: dict[tuple[str, int], tuple[tuple[str, int, float], ...]] = {
     ("8.4", 2): (("2.2", 2, 0.15), ("2.3", 2, 0.15), ("8.4", 0, 0.35)),
 }
 #: Feature points of the tongue, in the same letters.
-TONGUE_CONTROLS = {"6.1": "FFF", "6.2": "-F-"}  # FAPs 43 to 45, and 46
+TONGUE_CONTROLS = {"6.1": "FFF", "6.2": "SFS"}  # FAPs 43 to 45, and 46
 
-#: How far the skin's motion reaches beyond the points that move, on a head of average size.
-RING_MM = 46.0
-RING_SPACING_MM = 24.0
-_RING_WIDTH_MM = 14.0
-CAVITY_SPACING_MM = 11.0
-_CAVITY_FROM_LIPS_MM = 9.0
-AVERAGE_EYE_SEPARATION_MM = 61.5
+#: Lid points that make less of the edge's motion give way to auxiliary points, which know of brows.
+LEAST_LID_SHARE = 0.5
 _COUNTS = 0.02  # a corner with a smaller weight does not hold a point
 
 
@@ -138,8 +149,8 @@ class Controls:
     Attributes
     ----------
     points : SurfacePoints
-        Feature points by id; auxiliary ones by names with a letter: ``lid.…``, ``mouth.…``,
-        ``ring.…``.
+        Feature points by id; auxiliary ones by names with a letter: ``lid.…``, ``aux.…``,
+        ``mouth.…``, ``ring.…``.
     letters : mapping from name to three letters, as in `SKIN_CONTROLS`
     lids : tuple of LidPoint
         What each auxiliary lid point does.
@@ -160,8 +171,14 @@ class Controls:
         return tuple(n for n, word in self.letters.items() if set(word) <= {"S", "-"})
 
 
-def place_controls(head: Head) -> Controls:
+def place_controls(head: Head, auxiliary: AuxiliaryModel | None = None) -> Controls:
     """The control points of a head's skin.
+
+    Parameters
+    ----------
+    head : Head
+    auxiliary : AuxiliaryModel or None
+        Whose points are added, and which then says what no FAP does.
 
     Raises
     ------
@@ -178,14 +195,23 @@ def place_controls(head: Head) -> Controls:
             "2.2, 2.3 (lips), 8.3 and 8.4 (corners of the mouth)"
         )
     lids = place_lid_points(head, skin)
+    if auxiliary is not None:
+        lids = tuple(lid for lid in lids if lid.share > LEAST_LID_SHARE)
     letters.update({lid.name: "LLL" for lid in lids})
     placed = joined_points(
         head.feature_points.select(tuple(n for n in letters if n in SKIN_CONTROLS)),
         (lid.point for lid in lids),
     )
+    if auxiliary is not None:
+        added = place_auxiliary_points(head, auxiliary)
+        placed = joined_points(placed, (added,))
+        letters.update({name: "AAA" for name in added.names})
+        for name, axis in auxiliary.outputs:
+            if name in letters:
+                letters[name] = letters[name][:axis] + "A" + letters[name][axis + 1 :]
     cavity = mouth_cavity(head, skin)
-    mouth, mouth_letters = _mouth_points(head, skin, cavity)
-    ring = _ring_points(head, skin, placed, letters, cavity)
+    mouth, mouth_letters = mouth_points(head, skin, cavity)
+    ring = ring_points(head, skin, placed, letters, cavity)
     letters.update(mouth_letters)
     letters.update({name: "SSS" for name in ring.names})
     points = _uncrowded(joined_points(placed, (mouth, ring)))
@@ -210,103 +236,3 @@ def _uncrowded(points: SurfacePoints) -> SurfacePoints:
             kept.append(i)
             taken |= corners
     return points.select(tuple(points.names[i] for i in kept))
-
-
-def joined_points(first: SurfacePoints, more: Iterable[SurfacePoints]) -> SurfacePoints:
-    """Points one after the other."""
-    parts = [first, *more]
-    return SurfacePoints(
-        tuple(n for p in parts for n in p.names),
-        np.concatenate([p.corners for p in parts]),
-        np.concatenate([p.barycentric for p in parts]),
-    )
-
-
-def size_of(head: Head) -> float:
-    """A head's size relative to the average."""
-    return head.fapu.es / AVERAGE_EYE_SEPARATION_MM
-
-
-def mouth_cavity(head: Head, skin: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Vertices of the skin that line the mouth inside; none if the head has no cavity.
-
-    They lie in a box behind the lips, and the way along their normal is barred by skin.
-    """
-    p, s, v = head.points, size_of(head), head.mesh.vertices
-    if not {"2.2", "2.3", "8.3", "8.4"} <= set(p):
-        return np.zeros(0, dtype=np.int64)
-    lips = (p["2.2"] + p["2.3"]) / 2
-    half = (p["8.3"][0] - p["8.4"][0]) / 2
-    used = np.unique(skin)
-    q = v[used] - lips
-    box = (np.abs(q[:, 0]) < 1.4 * half) & (np.abs(q[:, 1]) < 28 * s)
-    box &= (q[:, 2] < -4 * s) & (q[:, 2] > -75 * s)
-    candidates = used[box]
-    if not len(candidates):
-        return np.zeros(0, dtype=np.int64)
-    normals = vertex_normals(v, skin)[candidates]
-    t, hit, _ = RayScene(v, skin).cast(v[candidates] + 0.05 * normals, normals)
-    inside = (hit != NO_HIT) & (t < 45 * s)
-    return np.asarray(candidates[inside], dtype=np.int64)
-
-
-def _mouth_points(
-    head: Head, skin: NDArray[np.int32], cavity: NDArray[np.int64]
-) -> tuple[SurfacePoints, dict[str, str]]:
-    """Points in the mouth: below the line of the lips carried by the jaw, above it still."""
-    v, s = head.mesh.vertices, size_of(head)
-    near = ("2.2", "2.3", "2.4", "2.5", "2.6", "2.7", "2.8", "2.9")
-    lip_points = head.feature_points.select(tuple(n for n in near if n in head.points))
-    if not len(cavity) or not len(lip_points):
-        return SurfacePoints((), np.zeros((0, 3), np.int32), np.zeros((0, 3))), {}
-    from_lips = surface_distances(v, skin, lip_points).to_vertices.min(axis=0)
-    inside = cavity[from_lips[cavity] > _CAVITY_FROM_LIPS_MM * s]
-    chosen = _spaced(v, inside, CAVITY_SPACING_MM * s)
-    line = (head.points["2.2"][1] + head.points["2.3"][1]) / 2
-    letters = {f"mouth.{i}": "JJJ" if v[c, 1] < line else "SSS" for i, c in enumerate(chosen)}
-    return _at_vertices(tuple(letters), chosen, skin), letters
-
-
-def _ring_points(
-    head: Head,
-    skin: NDArray[np.int32],
-    placed: SurfacePoints,
-    letters: dict[str, str],
-    cavity: NDArray[np.int64],
-) -> SurfacePoints:
-    """Still points where the skin's motion ends: on scalp, temples and neck."""
-    v, s = head.mesh.vertices, size_of(head)
-    of_face = tuple(
-        n for n in placed.names if set(letters[n]) - {"S", "-"} and not n.startswith("10.")
-    )
-    nearest = surface_distances(v, skin, placed.select(of_face)).to_vertices.min(axis=0)
-    beyond = (nearest > RING_MM * s) & (nearest < (RING_MM + _RING_WIDTH_MM) * s)
-    beyond[cavity] = False
-    rows = np.flatnonzero(beyond)
-    chosen = _spaced(v, rows, RING_SPACING_MM * s)
-    return _at_vertices(tuple(f"ring.{i}" for i in range(len(chosen))), chosen, skin)
-
-
-def _spaced(
-    v: NDArray[np.float64], rows: NDArray[np.int64], spacing_mm: float
-) -> NDArray[np.int64]:
-    """Some of the vertices, as far from each other as possible, down to a spacing."""
-    if not len(rows):
-        return np.asarray(rows)
-    chosen = [int(np.argmin(v[rows, 1]))]
-    distance = np.linalg.norm(v[rows] - v[rows[chosen[0]]], axis=1)
-    while distance.max() > spacing_mm:
-        chosen.append(int(np.argmax(distance)))
-        distance = np.minimum(distance, np.linalg.norm(v[rows] - v[rows[chosen[-1]]], axis=1))
-    return np.asarray(rows[chosen])
-
-
-def _at_vertices(
-    names: tuple[str, ...], vertices: NDArray[np.int64], skin: NDArray[np.int32]
-) -> SurfacePoints:
-    """Points at vertices, each in one of the triangles around it."""
-    flat = skin.ravel()
-    _, first = np.unique(flat, return_index=True)
-    where = first[np.searchsorted(np.unique(flat), vertices)]
-    triangles, corner = skin[where // 3], where % 3
-    return SurfacePoints(names, np.asarray(triangles, dtype=np.int32), np.eye(3)[corner])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,19 +11,26 @@ from scipy import sparse
 
 from ..core.errors import InputError
 from ..core.mesh import SurfacePoints
+from .biharmonic_weights import biharmonic_weights
+from .followers import Followers
 from .surface_weights import (
     NEGLIGIBLE,
     SurfaceDistances,
     displacement_table,
     interpolating,
     point_weights,
-    smoothed,
     surface_distances,
 )
+from .table_sums import table_sums
+from .weight_smoothing import smoothed
 
 #: Which axes (x, y, z) a point is a control point on.
 Constraint = tuple[bool, bool, bool]
 EVERY_AXIS: Constraint = (True, True, True)
+#: How points' displacements are spread over the surface.
+WEIGHTS = ("kshirsagar", "biharmonic")
+#: Weights below this are rounding errors; on coarse meshes they are most of a table.
+_ROUNDING = 1e-12
 
 
 class FeaturePointDeformer:
@@ -51,11 +59,19 @@ class FeaturePointDeformer:
     smoothing : float
         Diffuse the weights over this part of the distance to the nearest point; see
         `surface_weights.smoothed`. 0: as in the paper.
+    weights : str
+        ``"kshirsagar"``: by the paper. ``"biharmonic"``: the smoothest weights, see
+        `biharmonic_weights`; `fade` and `smoothing` do nothing.
+    reach_mm : float or None
+        With biharmonic weights: vertices that are further along the surface from every point that
+        moves stay where they are.
 
     Raises
     ------
     InputError
         If a constraint names a point that is not there.
+    ValueError
+        If there are no such weights.
 
     References
     ----------
@@ -73,7 +89,11 @@ class FeaturePointDeformer:
         still: Collection[str] = (),
         fade: bool = False,
         smoothing: float = 0.0,
+        weights: str = "kshirsagar",
+        reach_mm: float | None = None,
     ) -> None:
+        if weights not in WEIGHTS:
+            raise ValueError(f"weights must be one of {', '.join(WEIGHTS)}, got {weights!r}")
         v = np.asarray(vertices, dtype=np.float64)
         _check_names({*constraints, *still}, points)
         distances = surface_distances(v, triangles, points)
@@ -84,21 +104,39 @@ class FeaturePointDeformer:
         for axis in range(3):
             rows = _control_rows(points, constraints, axis)
             if rows.tobytes() not in tables:
-                table = _axis_table(distances, v, at, rows, moving[rows], fade, smoothing)
                 control = points.select(tuple(points.names[i] for i in rows))
-                tables[rows.tobytes()] = interpolating(
-                    table, control, moving[rows], NEGLIGIBLE if smoothing else 0.0
-                )
-            blocks.append(_spread(tables[rows.tobytes()], rows[moving[rows]], len(points)))
+                if weights == "biharmonic":
+                    held = _beyond(distances, rows[moving[rows]], reach_mm)
+                    table = biharmonic_weights(v, triangles, control, moving[rows], held=held)
+                else:
+                    table = _axis_table(distances, v, at, rows, moving[rows], fade, smoothing)
+                drops = smoothing or weights == "biharmonic"
+                table = interpolating(table, control, moving[rows], NEGLIGIBLE if drops else 0.0)
+                tables[rows.tobytes()] = _spread(table, rows[moving[rows]], len(points))
+            blocks.append(tables[rows.tobytes()])
         self._finish(points, tuple(blocks))
+
+    #: Points that follow others; None: each moves by itself.
+    followers: Followers | None = None
+    #: The table of all axes, where they have the same one.
+    _shared: sparse.csr_matrix | None = None
 
     def _finish(self, points: SurfacePoints, tables: tuple[sparse.csr_matrix, ...]) -> None:
         self.points = points
         self.tables = tables
         n_vertices, n_points = tables[0].shape
-        self.matrix = _interleaved(tables)
+        if all(t is tables[0] for t in tables):
+            self._shared = tables[0].astype(np.float64)
         self._shape = (n_points, 3)
         self._n_vertices = n_vertices
+
+    @cached_property
+    def matrix(self) -> sparse.csr_matrix:
+        """(3 V, 3 N) sparse: row ``3 v + axis`` from column ``3 n + axis``."""
+        spread = _interleaved(self.tables)
+        if self.followers is None:
+            return spread
+        return (spread @ self.followers.matrix(len(self.points))).tocsr()
 
     @property
     def n_vertices(self) -> int:
@@ -116,7 +154,15 @@ class FeaturePointDeformer:
         found._finish(points, tables)
         return found
 
-    def displace(self, displacements: ArrayLike) -> NDArray[np.float64]:
+    def led(self, followers: Followers) -> FeaturePointDeformer:
+        """The same with points that follow others, and move besides by their own displacements."""
+        found = self.joined(self.points, self.tables)
+        found.followers = followers
+        return found
+
+    def displace(
+        self, displacements: ArrayLike, *, out: NDArray[np.float64] | None = None
+    ) -> NDArray[np.float64]:
         """How far the vertices move.
 
         Parameters
@@ -124,6 +170,9 @@ class FeaturePointDeformer:
         displacements : (N, 3) or (T, N, 3) float, mm
             Of the points, in their order; components on axes on which a point is no control
             point do nothing.
+        out : array of the result's shape, float64 and contiguous, optional
+            Takes the result, and is returned: to fill one array again and again is quicker than
+            to have a new one each time.
 
         Returns
         -------
@@ -132,19 +181,51 @@ class FeaturePointDeformer:
         Raises
         ------
         ValueError
-            If the shape is another.
+            If the shape is another, of either.
         """
         d = np.asarray(displacements, dtype=np.float64)
-        if d.shape == self._shape:
-            found: NDArray[np.float64] = self.matrix @ d.ravel()
-            return found.reshape(-1, 3)
-        if d.ndim != 3 or d.shape[1:] != self._shape:
+        frames, wanted = self._checked(d)
+        found = np.empty(wanted) if out is None else checked_out(out, wanted)
+        moved = found.reshape(len(frames), -1, 3)
+        if self._shared is not None:
+            table_sums(self._shared, self._followed(frames), moved)
+        else:
+            flat = frames.reshape(len(frames), -1)
+            moved[:] = np.asarray(self.matrix @ flat.T).T.reshape(moved.shape)
+        return found
+
+    def _checked(self, d: NDArray[np.float64]) -> tuple[NDArray[np.float64], tuple[int, ...]]:
+        """Displacements as (T, N, 3), and the result's shape."""
+        if d.ndim not in (2, 3) or d.shape[-2:] != self._shape:
             n = self._shape[0]
             raise ValueError(
                 f"displacements must have shape ({n}, 3) or (T, {n}, 3), got {d.shape}"
             )
-        flat = d.reshape(len(d), -1)
-        return np.ascontiguousarray((self.matrix @ flat.T).T).reshape(len(d), -1, 3)
+        return d.reshape(-1, *self._shape), (*d.shape[:-2], self._n_vertices, 3)
+
+    def _followed(self, d: NDArray[np.float64]) -> NDArray[np.float64]:
+        return d if self.followers is None else self.followers.follow(d)
+
+
+def checked_out(out: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """An array that is handed in for a result of some shape.
+
+    Raises ValueError if it has another shape, is not contiguous, or not float64.
+    """
+    if out.shape != shape or out.dtype != np.float64 or not out.flags.c_contiguous:
+        raise ValueError(
+            f"out must be contiguous float64 of shape {shape}, got {out.dtype} {out.shape}"
+        )
+    return out
+
+
+def _beyond(
+    distances: SurfaceDistances, rows: NDArray[np.int64], reach_mm: float | None
+) -> NDArray[np.bool_] | None:
+    """Vertices further from all points `rows` than a reach; None if there is none."""
+    if reach_mm is None or not len(rows):
+        return None
+    return np.asarray(distances.nearest(rows)[0] > reach_mm)
 
 
 def _check_names(names: Collection[str], points: SurfacePoints) -> None:
@@ -172,11 +253,10 @@ def _axis_table(
     """(V, n moving): the factors of eq. 5 on one axis."""
     if not moving.any():
         return sparse.csr_matrix((len(vertices), 0))
-    to_vertices = distances.to_vertices[rows]
-    weights = point_weights(distances, vertices, at, rows, fade=fade)
-    table = displacement_table(weights, to_vertices, fade=fade)[:, moving]
+    weights, mm = point_weights(distances, vertices, at, rows, fade=fade)
+    table = displacement_table(weights, mm, fade=fade)[:, moving]
     if smoothing:
-        nearest = to_vertices.min(axis=0)
+        nearest, _ = distances.nearest(rows)
         table = smoothed(table, vertices, distances.edges, nearest, smoothing)
     return table
 
@@ -187,7 +267,8 @@ def _spread(
     """The table with a column for every point, empty for those not among `columns`."""
     entries = table.tocoo()
     place = (entries.row, columns[entries.col])
-    found = sparse.csr_matrix((entries.data, place), (table.shape[0], n_points))
+    data = np.where(np.abs(entries.data) < _ROUNDING, 0.0, entries.data)
+    found = sparse.csr_matrix((data, place), (table.shape[0], n_points))
     found.eliminate_zeros()
     return found
 

@@ -6,8 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from ..core.clip import Clip
@@ -16,29 +14,30 @@ from ..core.head_motion import HeadMotion
 from ..core.mpeg4 import ANGLE_UNIT_RAD, Fap, fap_by_name, fap_table, rotation_of_faps
 from ..core.rigid import quaternion_from_rotation
 from ..heads.head import Head
-from ..heads.raycast import RayScene
 from .animation import HeadAnimation, PartMotion
-from .controls import COMPLETIONS, TONGUE_CONTROLS, Controls, joined_points, place_controls, size_of
+from .auxiliary_points import PREFIX, auxiliary_model
+from .controls import (
+    COMPLETIONS,
+    REACH_MM,
+    place_controls,
+    size_of,
+)
 from .deformer import FeaturePointDeformer
 from .fap_rules import complete_faps
+from .followers import Followers
 from .jaw import CHIN, jaw_motion
-from .lid_points import PRESS_MM, lid_opening
+from .lid_meeting import LidMeeting
+from .limits import HeadLimits
+from .lip_meeting import LipMeeting, LipSeam
+from .riders import bend_tongue, with_lashes_and_tongue
 
 #: Share of the distance to the nearest point over which the weights are smoothed.
 SMOOTHING = 0.5
-#: Lips may be pressed together this far, mm; what exceeds it is taken back from both.
-LIP_PRESS_MM = 0.5
 #: Upper and lower point of each pair on the inner contour of the lips.
 LIP_MEETINGS = (("2.2", "2.3"), ("2.6", "2.8"), ("2.7", "2.9"))
-#: Lids: edge points of the middle, and the FAPs that move them.
-_LIDS = {
-    "left": ("3.1", "3.3", "close_t_l_eyelid", "close_b_l_eyelid"),
-    "right": ("3.2", "3.4", "close_t_r_eyelid", "close_b_r_eyelid"),
-}
-#: A lid opens at most this much of its gap beyond rest.
-_WIDEST = 0.7
-#: Skin this near to points on a lid's edge carries lashes.
-_LASH_ROOT_MM = 2.5
+_MORE_MEETINGS = tuple((f"{PREFIX}upper_inner.{k}", f"{PREFIX}lower_inner.{k}") for k in range(4))
+#: FAPs that no head shows: pupils are painted, and the tongue does not roll.
+_NEVER_SHOWN = ("dilate_l_pupil", "dilate_r_pupil", "tongue_roll")
 
 Faps = Mapping[str, NDArray[np.float64]]
 
@@ -55,8 +54,13 @@ class HeadDrive:
     Parameters
     ----------
     head : Head
+    weights : str
+        How displacements are spread over the skin, see `FeaturePointDeformer`.
+    auxiliary : bool
+        Whether points between the feature points move as expressions have taught
+        (`auxiliary_points`). False: by the feature points and what is added by geometry alone.
     smoothing : float
-        See `FeaturePointDeformer`; 0 for the weights of the paper.
+        Of Kshirsagar's weights, see `FeaturePointDeformer`; 0 for the weights of the paper.
     fade : bool
 
     Raises
@@ -65,9 +69,18 @@ class HeadDrive:
         If the head lacks a skin or the feature points.
     """
 
-    def __init__(self, head: Head, *, smoothing: float = SMOOTHING, fade: bool = True) -> None:
+    def __init__(
+        self,
+        head: Head,
+        *,
+        weights: str = "kshirsagar",
+        auxiliary: bool = True,
+        smoothing: float = SMOOTHING,
+        fade: bool = True,
+    ) -> None:
         self.head = head
-        self.controls = place_controls(head)
+        model = auxiliary_model() if auxiliary else None
+        self.controls = place_controls(head, model)
         skin = head.mesh.triangles[head.mesh.groups["skin"]]
         on_skin = FeaturePointDeformer(
             head.mesh.vertices,
@@ -77,9 +90,36 @@ class HeadDrive:
             still=self.controls.still,
             fade=fade,
             smoothing=smoothing,
+            weights=weights,
+            reach_mm=REACH_MM * size_of(head),
         )
-        self.deformer = _with_lashes_and_tongue(head, skin, on_skin, self.controls)
-        self._gap_mm = {side: _middle_gap(head, skin, side) for side in _LIDS}
+        self.limits = HeadLimits(head)
+        self._lips = LipMeeting(head, on_skin.points, LIP_MEETINGS)
+        self._more_lips = LipMeeting(head, on_skin.points, _MORE_MEETINGS)
+        self._lids = LidMeeting(head, self.controls, on_skin)
+        self._seam = LipSeam(head, self._lids.deformer)
+        on_skin = self._seam.deformer
+        self.deformer = with_lashes_and_tongue(head, skin, on_skin, self.controls)
+        if model is not None:
+            self.deformer = self.deformer.led(Followers.of(model, self.deformer.points))
+
+    @property
+    def dead_faps(self) -> tuple[str, ...]:
+        """FAPs 3 to 68 that this head does not show, by name.
+
+        Those that no head shows, and those whose feature point or part it lacks.
+        """
+        return tuple(fap.name for fap in fap_table()[2:] if self._is_dead(fap))
+
+    def _is_dead(self, fap: Fap) -> bool:
+        if fap.name in _NEVER_SHOWN:
+            return True
+        if fap.name.endswith("_eyeball"):
+            side = "left" if "_l_" in fap.name else "right"
+            return side not in self.head.eyes or f"eye_{side}" not in self.head.mesh.groups
+        return fap.direction is not None and not any(
+            point in self.deformer.points.names for point in fap.feature_points
+        )
 
     def feature_point_displacements(self, clip: Clip) -> NDArray[np.float64]:
         """Displacements of the deformer's points, (T, N, 3) float64, mm, head frame.
@@ -93,7 +133,7 @@ class HeadDrive:
         InputError
             If the clip holds no FAP.
         """
-        return self._displacements(complete_faps(clip), len(clip.time_s))
+        return self._displacements(self.limits.bent(complete_faps(clip)), len(clip.time_s))
 
     def animate(self, clip: Clip, motion: HeadMotion | None = None) -> HeadAnimation:
         """The head moving as a clip says.
@@ -110,7 +150,7 @@ class HeadDrive:
         InputError
             If the clip holds no FAP, or the motion has other times or gaps.
         """
-        faps, n = complete_faps(clip), len(clip.time_s)
+        faps, n = self.limits.bent(complete_faps(clip)), len(clip.time_s)
         if motion is None:
             motion = self._motion(faps, clip.time_s)
         _check_motion(motion, clip)
@@ -135,9 +175,18 @@ class HeadDrive:
                     along = faps[fap.name] * self.head.fapu.unit(fap)
                     found[:, points.index(name)] += along[:, None] * direction
         self._carry_with_jaw(found, faps, n)
-        self._meet_lids(found, faps)
-        self._meet_lips(found)
+        bend_tongue(found, self.deformer.points, self.head, faps, jaw_motion(self.head, faps, n))
+        self._lids.meet(found, faps)
+        self._lips.meet(found)
         self._complete(found)
+        followers = self.deformer.followers
+        if followers is not None:
+            found.reshape(n, -1)[:, followers.rows] = 0.0
+            followed = followers.follow(found)
+            pressed = followed.copy()
+            self._more_lips.meet(pressed)
+            found += pressed - followed
+        self._seam.close(found)
         return found
 
     def _carry_with_jaw(self, found: NDArray[np.float64], faps: Faps, n: int) -> None:
@@ -156,46 +205,6 @@ class HeadDrive:
                 found[:, i] = jaw.displacement(rest[i])
                 share = {CHIN: 1.0, "2.11": 0.5, "2.12": 0.5}.get(name, 0.0)
                 found[:, i, 1] += share * chin_lift
-
-    def _meet_lids(self, found: NDArray[np.float64], faps: Faps) -> None:
-        index = self.deformer.points.index
-        for side, (top, bottom, close_top, close_bottom) in _LIDS.items():
-            gap = self._gap_mm[side]
-            if side not in self.head.eyes or not {top, bottom} <= set(self.controls.letters):
-                continue
-            down, up = (self._mm(faps, name, len(found)) for name in (close_top, close_bottom))
-            if gap is None:  # no eyeball shows: nothing to slide on
-                continue
-            gap += PRESS_MM
-            down, up = (np.maximum(a, -_WIDEST * gap) for a in (down, up))
-            excess = np.maximum(down + up - gap, 0.0)
-            closing = np.maximum(down, 0) + np.maximum(up, 0) + 1e-12
-            down, up = (a - excess * np.maximum(a, 0) / closing for a in (down, up))
-            self._slide(found, index(top), side, -down)
-            self._slide(found, index(bottom), side, up)
-            for lid in self.controls.lids:
-                if lid.side == side:
-                    part = -down / gap if lid.upper else up / gap
-                    rise = part * (lid.gap_mm + PRESS_MM) * lid.share
-                    self._slide(found, index(lid.name), side, rise)
-
-    def _slide(
-        self, found: NDArray[np.float64], i: int, side: str, rise_mm: NDArray[np.float64]
-    ) -> None:
-        """Move a point up, on the sphere about the eye's centre that it lies on at rest."""
-        p = self.deformer.points.at(self.head.mesh.vertices)[i] - self.head.eyes[side].centre
-        squared = p @ p - p[0] ** 2 - (p[1] + rise_mm) ** 2
-        found[:, i, 1] = rise_mm
-        found[:, i, 2] = np.sqrt(np.maximum(squared, 0.0)) - max(p[2], 0.0)
-
-    def _meet_lips(self, found: NDArray[np.float64]) -> None:
-        names = self.deformer.points.names
-        for upper, lower in LIP_MEETINGS:
-            if upper in names and lower in names:
-                u, l = names.index(upper), names.index(lower)
-                excess = np.maximum(found[:, l, 1] - found[:, u, 1] - LIP_PRESS_MM, 0.0)
-                found[:, u, 1] += excess / 2
-                found[:, l, 1] -= excess / 2
 
     def _complete(self, found: NDArray[np.float64]) -> None:
         names = self.deformer.points.names
@@ -253,78 +262,3 @@ def _check_motion(motion: HeadMotion, clip: Clip) -> None:
         raise InputError("the head's motion and the clip have other times: resample one of them")
     if not (np.isfinite(motion.quaternion).all() and np.isfinite(motion.translation).all()):
         raise InputError("the head's motion has gaps: fill them first")
-
-
-def _middle_gap(head: Head, skin: NDArray[np.int32], side: str) -> float | None:
-    xs, heights = lid_opening(head, skin, side)
-    top = _LIDS[side][0]
-    if not len(xs) or top not in head.points:
-        return None
-    at = head.points[top][0]
-    return float(np.interp(at, xs, heights[:, 0]) - np.interp(at, xs, heights[:, 1]))
-
-
-def _with_lashes_and_tongue(
-    head: Head, skin: NDArray[np.int32], on_skin: FeaturePointDeformer, controls: Controls
-) -> FeaturePointDeformer:
-    """The skin's deformer, with lashes that follow the edge of the lid and a tongue that bends."""
-    carry = _lash_rows(head, skin, controls)
-    names = tuple(n for n in TONGUE_CONTROLS if n in head.feature_points.names)
-    if "tongue" not in head.mesh.groups or "6.1" not in names:
-        names = ()
-    bend = _tongue_table(head, names)
-    tables = []
-    for axis, table in enumerate(on_skin.tables):
-        on_axis = np.array([TONGUE_CONTROLS[n][axis] != "-" for n in names], dtype=np.float64)
-        tongue = bend @ sparse.diags(on_axis) if names else bend
-        tables.append(sparse.hstack([table + carry @ table, tongue]).tocsr())
-    points = joined_points(on_skin.points, (head.feature_points.select(names),))
-    return on_skin.joined(points, tuple(tables))
-
-
-def _lash_rows(head: Head, skin: NDArray[np.int32], controls: Controls) -> sparse.csr_matrix:
-    """(V, V): for each lash vertex, the corners of the skin that carries it.
-
-    That is the nearest skin along the edges of the lids, so that lashes keep their shape while
-    the lid behind them stretches.
-    """
-    v = head.mesh.vertices
-    lashes = head.part_vertices("lashes")
-    if not len(lashes):
-        return sparse.csr_matrix((len(v), len(v)))
-    edge = [lid.point.at(v)[0] for lid in controls.lids if lid.share == 1.0]
-    edge += [head.points[n] for n in ("3.1", "3.2", "3.3", "3.4") if n in head.points]
-    near = skin[_closest_mm(v[skin].mean(axis=1), np.array(edge)) < _LASH_ROOT_MM * size_of(head)]
-    surface = near if len(near) else skin
-    _, triangle, b = RayScene(v, surface).closest(v[lashes])
-    place = (np.repeat(lashes, 3), surface[triangle].ravel())
-    return sparse.csr_matrix((b.ravel(), place), (len(v), len(v)))
-
-
-def _closest_mm(points: NDArray[np.float64], targets: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(cKDTree(targets).query(points)[0])
-
-
-def _tongue_table(head: Head, names: tuple[str, ...]) -> sparse.csr_matrix:
-    """(V, n): how much of the tip's (6.1) and the body's (6.2) motion the tongue's vertices make.
-
-    By depth alone: the root stays, the body's share has its peak at 6.2, the tip's grows on.
-    """
-    n_vertices = len(head.mesh.vertices)
-    if not names:
-        return sparse.csr_matrix((n_vertices, 0))
-    rows = head.part_vertices("tongue")
-    z = head.mesh.vertices[rows, 2]
-    tip, root = head.points["6.1"][2], z.min()
-    body = head.points["6.2"][2] if "6.2" in names else (tip + root) / 2
-    to_tip = _smoothstep((z - body) / (tip - body))
-    shares = {"6.1": to_tip, "6.2": _smoothstep((z - root) / (body - root)) * (1 - to_tip)}
-    dense = np.zeros((n_vertices, len(names)))
-    for column, name in enumerate(names):
-        dense[rows, column] = shares[name]
-    return sparse.csr_matrix(dense)
-
-
-def _smoothstep(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    t = np.clip(t, 0.0, 1.0)
-    return t * t * (3 - 2 * t)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,11 +10,15 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from ..core.formats.gltf import GltfPart, GltfScene, MorphTarget, unweld
+from ..core.formats.gltf_scene import ROOT_NAME
 from ..core.mesh import Mesh, vertex_normals
 from ..heads.appearance import Appearance
 from ..heads.bones import make_bones
 from ..heads.head import Head
 from .animation import HeadAnimation
+from .morph_curves import STILL_MM, MotionCurves, frame_curves, motion_curves
+
+__all__ = ["MotionCurves", "animation_glb", "bones_glb", "frame_curves", "motion_curves"]
 
 #: Linear colours of parts that have no texture coordinates.
 _PLAIN = {
@@ -28,67 +32,32 @@ _PLAIN = {
 _ROUGHNESS = {"skin": 0.55, "eye_right": 0.12, "eye_left": 0.12, "lashes": 0.9}
 _MOUTH_ROUGHNESS = 0.3
 _BONE, _BONE_ROUGHNESS = (0.72, 0.66, 0.54, 1.0), 0.7
-#: A motion below this, mm, is none.
-_STILL_MM = 1e-6
-#: Curves this alike (in parts of their largest value) become one blendshape.
-_ALIKE = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class MotionCurves:
-    """What moves the deformer's points, as blendshapes and weights.
-
-    Attributes
-    ----------
-    names : tuple of str, length K
-    weights : (T, K) float64, in [-1, 1]
-    amounts : (3 N, K) sparse float64, mm
-        Displacements of all points at weight 1, row ``3 n + axis``.
-    """
-
-    names: tuple[str, ...]
-    weights: NDArray[np.float64]
-    amounts: sparse.csc_matrix
-
-
-def motion_curves(animation: HeadAnimation) -> MotionCurves:
-    """One curve for each point and axis that moves; proportional ones are joined.
-
-    A curve is named after its point and axis, ``fp_8.3_x``, joined ones after the first and how
-    many more there are, ``fp_8.3_x+1``.
-    """
-    moved = animation.displacements.reshape(len(animation), -1)
-    peak_at = np.abs(moved).argmax(axis=0)
-    peak = moved[peak_at, np.arange(moved.shape[1])]
-    used = np.flatnonzero(np.abs(peak) > _STILL_MM)
-    curves = moved[:, used] / peak[used]
-    members: list[list[int]] = []
-    firsts: list[NDArray[np.float64]] = []
-    for i, curve in enumerate(curves.T):
-        for group, first in zip(members, firsts, strict=True):
-            if np.abs(curve - first).max() < _ALIKE:
-                group.append(i)
-                break
-        else:
-            members.append([i])
-            firsts.append(curve)
-    rows = used[np.array([i for group in members for i in group], dtype=np.int64)]
-    columns = np.repeat(np.arange(len(members)), [len(group) for group in members])
-    amounts = sparse.csc_matrix((peak[rows], (rows, columns)), (moved.shape[1], len(members)))
-    names = tuple(_curve_name(animation.point_names, used[group]) for group in members)
-    weights = np.stack(firsts, axis=1) if firsts else np.zeros((len(animation), 0))
-    return MotionCurves(names, weights, amounts)
+#: Joints of parts that move rigidly; where parts of one joint move differently, the later ones get
+#: their own, named after the part.
+JOINTS = {
+    "teeth_lower": "jaw",
+    "tongue": "jaw",
+    "eye_left": "eye_left",
+    "eye_right": "eye_right",
+}
 
 
 def animation_glb(
-    head: Head, animation: HeadAnimation, *, name: str, texture_px: int | None = 1024
+    head: Head,
+    animation: HeadAnimation,
+    *,
+    name: str,
+    texture_px: int | None = 1024,
+    curves: MotionCurves | None = None,
+    skeleton: bool = True,
 ) -> GltfScene:
     """An animated head as a glTF scene, for `core.formats.gltf.write_glb`.
 
     Vertices are linear in the points' displacements, so blendshapes give exactly what
     `HeadAnimation.vertices` gives, to the file's single precision: about 2e-5 mm. Normals are
-    linear only nearly. Eyes, lower teeth and tongue are nodes with a motion of their own; the
-    head's motion is the root's.
+    linear only nearly. Skin, lashes and what bends the tongue are blendshapes; eyes, lower teeth
+    and tongue turn as their joints do (`JOINTS`), and the head's motion is the root joint's: no
+    motion is made twice.
 
     Parameters
     ----------
@@ -98,6 +67,10 @@ def animation_glb(
     name : str
     texture_px : int or None
         Textures larger than this are made smaller; None keeps them.
+    curves : MotionCurves or None
+        `frame_curves` for vertex animation; None: `motion_curves`.
+    skeleton : bool
+        Bind the parts to joints of a skin. False: parts that turn are nodes that turn.
 
     Raises
     ------
@@ -106,13 +79,15 @@ def animation_glb(
     """
     if animation.head is not head:
         raise ValueError("the animation is of another head")
-    curves = motion_curves(animation)
+    curves = motion_curves(animation) if curves is None else curves
     offsets = (animation.deformer.matrix @ curves.amounts).tocsc()
     parts = tuple(
         _part(animation, part, curves, offsets, texture_px)
         for part in head.mesh.groups
         if len(head.mesh.groups[part])
     )
+    if skeleton:
+        parts = tuple(_jointed(part, animation) for part in parts)
     motion = animation.motion
     turned = (
         np.abs(motion.quaternion[:, 1:]).max() > 1e-9 or np.abs(motion.translation).max() > 1e-9
@@ -124,7 +99,30 @@ def animation_glb(
         root_rotation=motion.quaternion if turned else None,
         root_translation=motion.translation if turned else None,
         extras={"head": head.name},
+        root_pivot=head.neck_pivot if skeleton else np.zeros(3),
     )
+
+
+def _jointed(part: GltfPart, animation: HeadAnimation) -> GltfPart:
+    """The part bound to its joint: its own where others of the joint move differently."""
+    joint = joint_of(animation, part.name)
+    return replace(part, joint=ROOT_NAME if joint is None else joint)
+
+
+def joint_of(animation: HeadAnimation, part: str) -> str | None:
+    """Name of the joint that turns a part; None for parts that go with the head."""
+    if part not in animation.parts:
+        return None
+    joint = JOINTS.get(part, part)
+    first = next(name for name in animation.parts if JOINTS.get(name, name) == joint)
+    a, b = animation.parts[first], animation.parts[part]
+    alike = all(
+        np.array_equal(x, y)
+        for x, y in (
+            (a.pivot, b.pivot), (a.rotation, b.rotation), (a.translation, b.translation),
+        )
+    )  # fmt: skip
+    return joint if alike else part
 
 
 def bones_glb(head: Head) -> GltfScene:
@@ -140,11 +138,6 @@ def bones_glb(head: Head) -> GltfScene:
             )
         )  # fmt: skip
     return GltfScene(f"bones of {head.name}", tuple(parts), np.zeros(1), extras={"head": head.name})
-
-
-def _curve_name(point_names: tuple[str, ...], rows: NDArray[np.int64]) -> str:
-    first = f"fp_{point_names[rows[0] // 3]}_{'xyz'[rows[0] % 3]}"
-    return first if len(rows) == 1 else f"{first}+{len(rows) - 1}"
 
 
 def _part(
@@ -193,7 +186,7 @@ def _target(
     name: str, part: GltfPart, rows: NDArray[np.int32], moved: NDArray[np.float64]
 ) -> MorphTarget | None:
     """A blendshape of a part; None if it does not touch it."""
-    touched = np.flatnonzero(np.abs(moved).max(axis=1) > _STILL_MM).astype(np.int32)
+    touched = np.flatnonzero(np.abs(moved).max(axis=1) > STILL_MM).astype(np.int32)
     if not len(touched):
         return None
     turned = _smooth_normals(part, rows, moved)[touched] - part.normals[touched]

@@ -16,7 +16,7 @@ from .animation import PartMotion
 #: The point that FAPs 3, 14 and 15 move, and the one that FAP 18 moves.
 CHIN_BOTTOM, CHIN = "2.1", "2.10"
 #: No jaw opens further.
-_WIDEST_RAD = np.radians(38.0)
+WIDEST_RAD = np.radians(38.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +55,16 @@ def jaw_motion(head: Head, faps: Mapping[str, NDArray[np.float64]], n_frames: in
     return JawMotion(head.jaw_pivot, quaternion, shift)
 
 
+def widest_opening_mm(head: Head) -> float:
+    """How far down the chin's lowest point comes: where the joint stops, or below the hinge."""
+    _, y, z = head.points[CHIN_BOTTOM] - head.jaw_pivot
+    turn = min(WIDEST_RAD, float(np.pi - np.arctan2(z, y)))
+    return float(y - (y * np.cos(turn) - z * np.sin(turn)))
+
+
 def _turn(arm: NDArray[np.float64], down_mm: NDArray[np.float64]) -> NDArray[np.float64]:
     """The angle about +x by which the end of an arm comes down so far, rad."""
     length, rest = np.hypot(arm[1], arm[2]), np.arctan2(arm[2], arm[1])
     # y' = length cos(rest + angle); the chin hangs below the hinge, so rest is beyond 90 degrees
     angle = np.arccos(np.clip((arm[1] - down_mm) / length, -1, 1)) - rest
-    return np.asarray(np.clip(angle, 0.0, _WIDEST_RAD))
+    return np.asarray(np.clip(angle, 0.0, WIDEST_RAD))

@@ -22,7 +22,7 @@ _SCAN_MM = 0.05
 #: Lid points lie this far from the visible edge of the opening.
 EDGE_MM = 0.3
 #: At full closure the edges overlap by this much, so that no light comes through.
-PRESS_MM = 0.25
+PRESS_MM = 0.08
 
 
 @dataclass(frozen=True, eq=False)

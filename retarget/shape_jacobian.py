@@ -51,8 +51,7 @@ class ShapeJacobian:
     unit_mm : (F,) float64, mm
         Of a FAP's value 1; of angles: on the eyeball.
     mm : (F, K) float64, mm
-        Displacement along each FAP at weight 1. FAPs of the tongue are relative to the jaw, as the
-        drives take them.
+        Displacement along each FAP at weight 1.
     corrective_mm : (F, C) float64, mm
     """
 
@@ -214,26 +213,7 @@ def _point_displacements(head: Head, rows: list[int]) -> dict[str, Floats]:
     points = head.feature_points
     offsets = np.asarray(head.shapes[rows][:, points.corners], dtype=np.float64)
     moved = np.einsum("nc,kncx->knx", points.barycentric, offsets)
-    jaw = _carried_by_jaw(head, rows, [n for n in points.names if n.startswith("6.")])
-    for name, carried in jaw.items():
-        moved[:, points.index(name)] -= carried
     return {name: moved[:, i] for i, name in enumerate(points.names)}
-
-
-def _carried_by_jaw(head: Head, rows: list[int], names: list[str]) -> dict[str, Floats]:
-    """What the motion of the lower teeth takes points along, (len(rows), 3) mm."""
-    teeth = head.part_vertices("teeth_lower")
-    if not len(teeth) or not names:
-        return {}
-    assert head.shapes is not None
-    rest = head.mesh.vertices[teeth]
-    homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
-    inverse = np.linalg.pinv(homogeneous)
-    moved = np.asarray(head.shapes[rows][:, teeth], dtype=np.float64)
-    affine = np.einsum("iv,kvx->kix", inverse, moved)
-    return {
-        name: np.einsum("i,kix->kx", np.append(head.points[name], 1.0), affine) for name in names
-    }
 
 
 def _row(head: Head, fap: Fap, shapes: Iterable[str], moved: dict[str, Floats]) -> Floats:

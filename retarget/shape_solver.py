@@ -21,7 +21,8 @@ from .arkit import direct_weights
 from .controls import joined_points
 from .deformer import FeaturePointDeformer
 from .drive import HeadDrive
-from .fap_rules import complete_faps
+from .fap_rules import complete_faps, gives_faps
+from .rigid_teeth import RigidTeeth
 from .shape_jacobian import (
     UNSURE,
     carried_by_jaw,
@@ -190,6 +191,8 @@ class ShapeDrive:
         )
         shapes = (*self.jacobian.shapes, *self.jacobian.correctives)
         self.deformer = ShapeDeformer(head, shapes, self._rigid)
+        if "teeth_lower" in self._rigid:
+            self._teeth = RigidTeeth(head, shapes)
         self._refinement = _Refinement(head, self.deformer) if refine else None
         if self._refinement is not None:
             self.deformer = self.deformer.beside(self._refinement.points.deformer)
@@ -209,7 +212,7 @@ class ShapeDrive:
             If the clip holds nothing that the head knows.
         """
         jacobian = self.jacobian
-        if set(clip.channels) & set(fap_by_name()):
+        if gives_faps(clip):
             if self.method == "shapes":
                 return solve_weights(
                     jacobian, clip, noise_mm=self._noise_mm, cutoff_hz=self._cutoff_hz
@@ -237,7 +240,7 @@ class ShapeDrive:
             If the clip holds nothing that the head knows, or the motion has other times or gaps.
         """
         weights = self.weights(clip)
-        faps = complete_faps(clip) if set(clip.channels) & set(fap_by_name()) else {}
+        faps = complete_faps(clip) if gives_faps(clip) else {}
         if motion is None:
             motion = self._motion(clip, faps)
         _check_motion(motion, clip)
@@ -266,7 +269,7 @@ class ShapeDrive:
                 shift[:, 2] = faps[thrust] * self.head.fapu.unit(fap_by_name()[thrust])
             found[f"eye_{side}"] = PartMotion(self.head.eyes[side].centre, quaternion, shift)
         if "teeth_lower" in self._rigid:
-            found["teeth_lower"] = self._teeth(weights)
+            found["teeth_lower"] = self._teeth.motion(weights.clip.values)
         return found
 
     def _looks(
@@ -284,24 +287,6 @@ class ShapeDrive:
                 mm = weights.clip.values[:, :k] @ self.jacobian.mm[rows[name]]
                 found[:, axis] = mm / self.head.eyes[side].radius
         return found
-
-    def _teeth(self, weights: ShapeWeights) -> PartMotion:
-        """The rigid motion nearest to where the shapes take the lower teeth (Kabsch)."""
-        assert self.head.shapes is not None
-        rows = self.head.part_vertices("teeth_lower")
-        index = [self.head.shape_names.index(s) for s in weights.clip.channels]
-        offsets = np.asarray(self.head.shapes[index][:, rows], dtype=np.float64)
-        rest = self.head.mesh.vertices[rows]
-        pivot = rest.mean(axis=0)
-        arm = rest - pivot
-        w = weights.clip.values
-        shift = w @ offsets.mean(axis=1)
-        cross = arm.T @ arm + np.tensordot(w, np.einsum("vi,kvj->kij", arm, offsets), axes=1)
-        U, _, Vt = np.linalg.svd(cross)
-        flip = np.linalg.det(U) * np.linalg.det(Vt)
-        U[:, :, 2] *= flip[:, None]
-        R = np.swapaxes(U @ Vt, 1, 2)
-        return PartMotion(pivot, quaternion_from_rotation(R), shift)
 
     def _motion(self, clip: Clip, faps: dict[str, Floats]) -> HeadMotion:
         none = np.zeros(len(clip.time_s))

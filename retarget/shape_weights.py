@@ -12,8 +12,9 @@ from ..core.clip import Clip
 from ..core.errors import InputError
 from ..core.formats.live_link_csv import ARKIT_SHAPES
 from ..core.mpeg4 import ANGLE_UNIT_RAD
-from .bounded_paths import second_differences, solve_paths
-from .fap_rules import complete_faps
+from ..heads.bounded_paths import second_differences, solve_paths
+from .fap_rules import completed
+from .high_level_faps import HIGH_LEVEL
 from .shape_jacobian import WEIGHT_SD, ShapeJacobian, carried_by_jaw
 from .shape_names import understand_shapes
 
@@ -32,6 +33,9 @@ _IMPLIED = 0.2
 #: What lids do is seen first.
 _LIDS = frozenset((19, 20, 21, 22))
 _LID_CARE = 2.0
+#: The jaw carries the tongue: its FAPs tell the jaw's motion once more.
+_TONGUE = frozenset((43, 44, 45, 46))
+_TONGUE_CARE = 0.3
 _UPPER_LIDS = frozenset(("close_t_l_eyelid", "close_t_r_eyelid"))
 _BOUND_ROUNDS = 3
 _CORRECTIVE_ROUNDS = 4
@@ -149,20 +153,23 @@ def _stiffness(time_s: Floats, cutoff_hz: float) -> float:
 
 def _targets(jacobian: ShapeJacobian, clip: Clip) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Where FAPs want points, (T, F) mm; how much each counts, (F,); frames that are at rest."""
-    faps = complete_faps(clip)
+    known = completed(clip)
+    faps = known.clip
     target = np.zeros((len(clip.time_s), len(jacobian.faps)))
     care, closed = np.zeros(len(jacobian.faps)), _closed_mm(jacobian)
     for i, fap in enumerate(jacobian.faps):
-        values = faps.get(fap.name)
-        if values is None or (carried_by_jaw(fap) and not values.any()):
+        if fap.name not in faps.channels or (carried_by_jaw(fap) and not faps[fap.name].any()):
             continue
-        given = fap.name in clip.channels and not np.isnan(clip[fap.name]).all()
+        values, source = faps[fap.name], known.derived.get(fap.name, HIGH_LEVEL)
+        given = source == HIGH_LEVEL  # or by the clip itself: not only by a partner
         target[:, i] = np.minimum(values * jacobian.unit_mm[i], closed[i])
-        care[i] = (1.0 if given else _IMPLIED) * (_LID_CARE if fap.number in _LIDS else 1.0)
+        care[i] = 1.0 if given else _IMPLIED
+        care[i] *= _LID_CARE if fap.number in _LIDS else 1.0
+        care[i] *= _TONGUE_CARE if fap.number in _TONGUE else 1.0
     if not care.any():
         raise InputError(
             f"none of the clip's FAPs moves a shape of head {jacobian.head.name}; it gives "
-            + ", ".join(list(faps)[:5])
+            + ", ".join(faps.channels[:5])
         )
     return target, care, np.asarray(~target.any(axis=1))
 

@@ -6,84 +6,31 @@ MPEG-4 Facial Animation, 2000. Equation numbers below are the paper's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse import csgraph
-from scipy.sparse.linalg import splu
 
 from ..core.mesh import SurfacePoints
+from .surface_distances import TOUCHING_MM, SurfaceDistances, mesh_edges, surface_distances
+
+__all__ = [
+    "SurfaceDistances",
+    "displacement_table",
+    "influence_range",
+    "interpolating",
+    "mesh_edges",
+    "point_weights",
+    "region_neighbours",
+    "surface_distances",
+]
 
 #: Below this weight of its strongest point a vertex is let go gradually (option ``fade``).
 FADE_BELOW = 0.5
 #: Smoothed weights below this are dropped, and those up to three times as large reduced, so that
 #: no step is left: 0.08 mm of a 20 mm motion at most.
 NEGLIGIBLE = 4e-3
-#: Added to the distance to a point when weights are smoothed, so that points make no dimples.
-SMOOTHING_FLOOR_MM = 3.0
-_TOUCHING_MM = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class SurfaceDistances:
-    """Surface distances from every control point.
-
-    A point in the middle of a triangle is joined to the triangle's three corners by straight
-    lines, and to other points in the same triangle; everywhere else the way goes along edges.
-
-    Attributes
-    ----------
-    to_vertices : (N, V) float64, mm
-        inf where a vertex is on another part.
-    between : (N, N) float64, mm
-    edges : (E, 2) int32
-    """
-
-    to_vertices: NDArray[np.float64]
-    between: NDArray[np.float64]
-    edges: NDArray[np.int32]
-
-
-def surface_distances(
-    vertices: NDArray[np.float64], triangles: NDArray[np.int32], points: SurfacePoints
-) -> SurfaceDistances:
-    """Shortest ways along mesh edges from the points to all vertices."""
-    edges = mesh_edges(triangles)
-    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
-    n_vertices, n_points = len(vertices), len(points)
-    at = points.at(vertices)
-    starts = np.repeat(np.arange(n_points), 3)
-    corners = points.corners.ravel()
-    to_corner = np.linalg.norm(at[starts] - vertices[corners], axis=1)
-    a, b = _points_sharing_triangles(points)
-    across = np.linalg.norm(at[a] - at[b], axis=1)
-    rows = np.concatenate([edges[:, 0], n_vertices + starts, n_vertices + a])
-    columns = np.concatenate([edges[:, 1], corners, n_vertices + b])
-    # A length of exactly 0 would be "no edge" to the graph routines.
-    lengths = np.maximum(np.concatenate([length, to_corner, across]), 1e-9)
-    size = n_vertices + n_points
-    graph = sparse.csr_matrix((lengths, (rows, columns)), (size, size))
-    found = csgraph.dijkstra(
-        graph.maximum(graph.T), directed=True, indices=n_vertices + np.arange(n_points)
-    )
-    return SurfaceDistances(found[:, :n_vertices], found[:, n_vertices:], edges)
-
-
-def mesh_edges(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """(E, 2) int32: each edge once, the lower index first."""
-    pairs = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
-    return np.unique(np.sort(pairs, axis=1), axis=0).astype(np.int32)
-
-
-def _points_sharing_triangles(
-    points: SurfacePoints,
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    corners = np.sort(points.corners, axis=1)
-    same = (corners[:, None] == corners[None]).all(axis=2)
-    a, b = np.nonzero(np.triu(same, 1))
-    return a, b
+#: Rows that are worked on together: as many as keep memory small.
+_ROWS_AT_ONCE = 20000
 
 
 def region_neighbours(distances: SurfaceDistances, rows: NDArray[np.int64]) -> list[set[int]]:
@@ -92,9 +39,7 @@ def region_neighbours(distances: SurfaceDistances, rows: NDArray[np.int64]) -> l
     A point's region holds the vertices that are nearer to it than to any other of the points.
     Numbers count within `rows`.
     """
-    to_vertices = distances.to_vertices[rows]
-    region = np.argmin(to_vertices, axis=0)
-    region[~np.isfinite(to_vertices.min(axis=0))] = -1
+    _, region = distances.nearest(rows)
     border = region[distances.edges]
     border = border[(border[:, 0] != border[:, 1]) & (border >= 0).all(axis=1)]
     found: list[set[int]] = [set() for _ in rows]
@@ -168,7 +113,7 @@ def point_weights(
     rows: NDArray[np.int64],
     *,
     fade: bool = False,
-) -> sparse.csr_matrix:
+) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
     """W of eqs. 3 and 4 for the control points `rows` alone.
 
     Parameters
@@ -184,35 +129,45 @@ def point_weights(
 
     Returns
     -------
-    (V, n) sparse float64, in [0, 1]
+    weights : (V, n) sparse float64, in [0, 1]
+    mm : (V, n) sparse float64
+        The distances that belong to them, above 0.
     """
     neighbours = region_neighbours(distances, rows)
-    columns = []
+    found: list[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]] = []
     for i, point in enumerate(rows):
-        d_p = distances.to_vertices[point]
-        others = np.array(sorted(neighbours[i]), dtype=np.int64)
-        towards = _unit(vertices - at[point])
-        between = distances.between[point, rows[others]] if len(others) else np.zeros(0)
-        directions = _unit(at[rows[others]] - at[point]) if len(others) else np.zeros((0, 3))
-        d = influence_range(towards, directions, between, fade=fade)
+        others = rows[np.array(sorted(neighbours[i]), dtype=np.int64)]
+        near, d_p, between = distances.around(int(point), others)
+        if not fade and len(others):  # by eq. 2 a single neighbour's range has no bound
+            d_p = distances.to_vertices[point]
+            near = np.arange(len(vertices))
+        towards = _unit(vertices[near] - at[point])
+        d = influence_range(towards, _unit(at[others] - at[point]), between, fade=fade)
         inside = d_p < d
-        w = np.zeros(len(vertices))
+        w = np.zeros(len(near))
         w[inside] = np.sin(np.pi / 2 * (1 - d_p[inside] / d[inside]))  # eqs. 3 and 4
-        w[d_p <= _TOUCHING_MM] = 1.0
-        columns.append(sparse.csc_matrix(w[:, None]))
-    return sparse.hstack(columns).tocsr()
+        w[d_p <= TOUCHING_MM] = 1.0
+        kept = w > 0
+        found.append((near[kept], w[kept], np.maximum(d_p[kept], TOUCHING_MM)))
+    row = np.concatenate([f[0] for f in found])
+    column = np.repeat(np.arange(len(found)), [len(f[0]) for f in found])
+    shape = (len(vertices), len(found))
+    weights, mm = (
+        sparse.csr_matrix((np.concatenate([f[k] for f in found]), (row, column)), shape)
+        for k in (1, 2)
+    )
+    return weights, mm
 
 
 def displacement_table(
-    weights: sparse.csr_matrix, to_vertices: NDArray[np.float64], *, fade: bool
+    weights: sparse.csr_matrix, mm: sparse.csr_matrix, *, fade: bool
 ) -> sparse.csr_matrix:
     """The factors of the displacements in eq. 5.
 
     Parameters
     ----------
-    weights : (V, n) sparse
-        Of eqs. 3 and 4.
-    to_vertices : (n, V) float64, mm
+    weights, mm : (V, n) sparse
+        Of eqs. 3 and 4, as `point_weights` returns them.
     fade : bool
         Eq. 5 divides by the sum of the weights, however small: a vertex that only one point
         reaches moves as far as the point itself, right up to where the influence ends, and its
@@ -223,9 +178,8 @@ def displacement_table(
     -------
     (V, n) sparse; rows sum to 1, or to less where they fade, or to 0 where nothing reaches
     """
-    found = weights.tocoo()
-    d = np.maximum(to_vertices[found.col, found.row], _TOUCHING_MM)
-    value = found.data / d**2
+    found, d = weights.tocoo(), mm.tocoo()
+    value = found.data / d.data**2
     total = np.bincount(found.row, value, minlength=weights.shape[0])
     value = value / total[found.row]
     if fade:
@@ -234,57 +188,6 @@ def displacement_table(
         t = np.minimum(strongest / FADE_BELOW, 1.0)
         value = value * (t * t * (3 - 2 * t))[found.row]
     return sparse.csr_matrix((value, (found.row, found.col)), weights.shape)
-
-
-def smoothed(
-    table: sparse.csr_matrix,
-    vertices: NDArray[np.float64],
-    edges: NDArray[np.int32],
-    nearest_mm: NDArray[np.float64],
-    amount: float,
-) -> sparse.csr_matrix:
-    """Diffuse a table over the surface, over a length in proportion to the distance to a point.
-
-    Solves ``(I + L) table' = table`` with a graph Laplacian whose edges weigh (length of
-    diffusion / length of edge)². Ours, not the paper's: it takes away the creases where eq. 2
-    changes its two neighbours, and the terraces that 1/d² leaves around points.
-
-    Parameters
-    ----------
-    table : (V, n) sparse
-    vertices : (V, 3) float64, mm
-    edges : (E, 2) int32
-    nearest_mm : (V,) float64
-        Distance of each vertex from the nearest point; inf where there is none.
-    amount : float
-        Length of diffusion over `nearest_mm` + `SMOOTHING_FLOOR_MM`.
-    """
-    used = _rows_about(table, edges)
-    new = np.full(len(vertices), -1)
-    new[used] = np.arange(len(used))
-    e = edges[(new[edges] >= 0).all(axis=1)]
-    length = np.linalg.norm(vertices[e[:, 0]] - vertices[e[:, 1]], axis=1)
-    reach = amount * (nearest_mm[e].mean(axis=1) + SMOOTHING_FLOOR_MM)
-    weight = (reach / np.maximum(length, 0.05)) ** 2 / 6.0  # about six edges at a vertex
-    a, b = new[e].T
-    size = len(used)
-    adjacency = sparse.coo_matrix((weight, (a, b)), (size, size)).tocsr()
-    adjacency = adjacency + adjacency.T
-    laplacian = sparse.diags(np.asarray(adjacency.sum(axis=1)).ravel()) - adjacency
-    solver = splu((sparse.identity(size) + laplacian).tocsc(), permc_spec="MMD_AT_PLUS_A")
-    dense = solver.solve(table[used].toarray())
-    dense[np.abs(dense) < 1e-6] = 0.0
-    found = sparse.csr_matrix(dense).tocoo()
-    return sparse.csr_matrix((found.data, (used[found.row], found.col)), table.shape)
-
-
-def _rows_about(table: sparse.csr_matrix, edges: NDArray[np.int32]) -> NDArray[np.int64]:
-    """Rows with entries, and two rings of neighbours about them."""
-    reached = np.diff(table.indptr) > 0
-    for _ in range(2):
-        touched = reached[edges].any(axis=1)
-        reached[edges[touched].ravel()] = True
-    return np.flatnonzero(reached)
 
 
 def interpolating(
@@ -318,17 +221,30 @@ def interpolating(
     inverse = np.linalg.pinv(crosstalk, rcond=1.0 / _WELL_POSED)
     if np.linalg.matrix_rank(crosstalk, tol=1.0 / _WELL_POSED) == len(crosstalk):
         inverse[np.abs(inverse) < 1e-5] = 0.0
-        table = (table @ sparse.csr_matrix(inverse)).tocsr()
-    if negligible:
-        size = np.abs(table.data)
-        table.data *= np.clip((size - negligible) / (2 * negligible), 0.0, 1.0)
-        table.eliminate_zeros()
+        mixed = sparse.csr_matrix(inverse)
+        parts = [
+            _without(table[first : first + _ROWS_AT_ONCE] @ mixed, negligible)
+            for first in range(0, table.shape[0], _ROWS_AT_ONCE)
+        ]
+        table = sparse.vstack(parts).tocsr()
+    else:
+        table = _without(table, negligible)
     left = np.eye(n)[:, moving] - (b @ table).toarray()
     correction = sparse.csr_matrix(np.linalg.pinv((b @ b.T).toarray(), rcond=1e-9) @ left)
     return (table + b.T @ correction).tocsr()
 
 
 _WELL_POSED = 50.0
+
+
+def _without(table: sparse.csr_matrix, negligible: float) -> sparse.csr_matrix:
+    """The table without negligible entries; those little larger are reduced, so none jumps."""
+    found = table.tocsr()
+    if negligible:
+        size = np.abs(found.data)
+        found.data = found.data * np.clip((size - negligible) / (2 * negligible), 0.0, 1.0)
+        found.eliminate_zeros()
+    return found
 
 
 def _unit(v: NDArray[np.float64]) -> NDArray[np.float64]:

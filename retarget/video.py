@@ -17,6 +17,7 @@ from ..core.video_writer import VideoWriter
 from ..heads.head import Head
 from ..heads.render import HeadRenderer, portrait_camera
 from .animation import HeadAnimation
+from .resampling import frame_times
 
 
 def write_head_video(
@@ -28,6 +29,7 @@ def write_head_video(
     rate_hz: float | Fraction = 30,
     audio: Audio | None = None,
     camera: Camera | None = None,
+    hold_s: float = 0.0,
     on_frame: Callable[[int, NDArray[np.uint8]], None] | None = None,
 ) -> int:
     """Draw an animated head, frame by frame, into a video.
@@ -50,6 +52,8 @@ def write_head_video(
     camera : Camera or None
         In the world of the animation's head motion, with the same image size. None: a portrait
         camera before the head at rest, for motion about the neck as FAPs give it.
+    hold_s : float, s
+        How long the last pose is shown after the animation's end, for sound that goes on.
     on_frame : callable or None
         Called after each frame with its number and the (h, w, 3) uint8 picture.
 
@@ -69,16 +73,15 @@ def write_head_video(
         raise InputError(f"the camera's picture is {camera.image_size}, the video's {size}")
     view = portrait_camera(head, size) if camera is None else camera
     start, end = float(animation.time_s[0]), float(animation.time_s[-1])
-    times = start + np.arange(int(np.floor((end - start) * float(rate_hz) + 1e-6)) + 1) / float(
-        rate_hz
-    )
-    shown = animation.resampled(np.minimum(times, end))
+    times = frame_times(start, end + hold_s, Fraction(rate_hz).limit_denominator(1001))
+    shown = animation.resampled(np.unique(np.minimum(times, end)))
     renderer = HeadRenderer(head, quick=True)
     with VideoWriter(path, size, rate_hz, audio=audio) as writer:
-        for frame in range(len(shown)):
-            pose = Rigid(shown.motion.quaternion[frame], shown.motion.translation[frame])
-            picture = renderer.render(shown.vertices(frame), view, pose)
+        for frame in range(len(times)):
+            if frame < len(shown):
+                pose = Rigid(shown.motion.quaternion[frame], shown.motion.translation[frame])
+                picture = renderer.render(shown.vertices(frame), view, pose)
             writer.write(picture)
             if on_frame is not None:
                 on_frame(frame, picture)
-    return len(shown)
+    return len(times)

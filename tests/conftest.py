@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import json
+import os
+import shutil
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,6 +39,31 @@ def real_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real recordings are not on this machine (expected in {folder})")
     return folder
+
+
+@pytest.fixture(scope="session")
+def khronos_issues(repository: Path) -> Callable[[Path], dict[str, Any]]:
+    """What the Khronos glTF validator says of a file; the test is skipped without it."""
+    node = shutil.which("node")
+    installed = repository / ".venv" / "node" / "node_modules" / "gltf-validator"
+    folder = Path(os.environ.get("GLTF_VALIDATOR", installed))
+    if node is None or not folder.is_dir():
+        pytest.skip(
+            "needs node and the npm package gltf-validator: npm install --prefix .venv/node "
+            "gltf-validator, or GLTF_VALIDATOR=its folder"
+        )
+    script = (
+        f"const v=require({json.dumps(str(folder.resolve()))});"
+        "v.validateBytes(new Uint8Array(require('fs').readFileSync(process.argv[1])))"
+        ".then(r=>console.log(JSON.stringify(r.issues)))"
+    )
+
+    def issues(path: Path) -> dict[str, Any]:
+        run = subprocess.run([node, "-e", script, str(path)], capture_output=True, check=True)
+        found: dict[str, Any] = json.loads(run.stdout)
+        return found
+
+    return issues
 
 
 @contextmanager

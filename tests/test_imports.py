@@ -36,7 +36,7 @@ ARROWS: dict[str, set[str]] = {
 OUTSIDE_THE_PACKAGE = ("tests", "benchmarks", "examples", "docs")
 SLOW_MODULES = {"torch", "open3d", "pycolmap", "anny", "cv2", "matplotlib"}
 #: What ``facewright --help`` does without, besides.
-NOT_FOR_HELP = {"numpy", "scipy", "numba", "av", "soundfile", "ezc3d", "pygltflib", "PIL"}
+NOT_FOR_HELP = {"numpy", "scipy", "numba", "av", "soundfile", "pygltflib", "PIL"}
 NAMES_THAT_SAY_NOTHING = {"utils.py", "helpers.py", "common.py", "util.py", "helper.py", "misc.py"}
 
 

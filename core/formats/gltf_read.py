@@ -28,9 +28,10 @@ def read_glb(path: Path) -> GltfScene:
 
     Files written by `write_glb` come back as they were, to single precision. Of others: all
     triangle meshes of the default scene with their blendshapes, base colour and texture, placed
-    as their nodes place them (skinned ones in their rest pose), and the first animation's
-    blendshape weights and node motions. Left out, with a warning in the log where it could be
-    missed: skeletal animation, animated scale, other animations, points and lines, cameras,
+    as their nodes place them, and the first animation's blendshape weights and node motions.
+    Meshes that are bound whole to one joint each move with it; where any is bound to several, all
+    skinned ones stand in their rest pose. Left out, with a warning in the log where it could be
+    missed: other skeletal animation, animated scale, other animations, points and lines, cameras,
     lights. A JPEG texture becomes a PNG. Vertices keep their order and number.
 
     Raises
@@ -81,6 +82,7 @@ class _SceneReader:
             root_rotation,
             root_translation,
             {key: value for key, value in extras.items() if isinstance(value, str)},
+            self._tree.root_pivot,
         )
 
     # meshes
@@ -99,7 +101,10 @@ class _SceneReader:
             if file.integer(primitive, "mode", where, 4) < 4:
                 _log.warning("%s: points and lines of %s are left out", file.name, name)
                 continue
-            found.append(self._part(name, placed.node, mesh, primitive, placement, where))
+            part = self._part(
+                name, placed.node, mesh, primitive, placement, where, placed.binding is not None
+            )
+            found.append(part)
         return found
 
     def _part(
@@ -110,6 +115,7 @@ class _SceneReader:
         primitive: Object,
         placement: Placement,
         where: str,
+        is_bound: bool,
     ) -> GltfPart:
         file = self._file
         attributes = file.member(primitive, "attributes", where)
@@ -120,7 +126,7 @@ class _SceneReader:
             normals = file.accessor(attributes["NORMAL"], ("VEC3",), where, count)
         else:
             normals = vertex_normals(points, triangles)
-        bone = self._skinning(node, attributes, count, where)
+        bone = None if is_bound else self._skinning(node, attributes, count, where)
         to_head = placement.head_from_mesh if bone is None else bone
         if to_head.ndim == 2 and np.linalg.det(to_head[:3, :3]) < 0:  # a mirror turns faces over
             triangles = triangles[:, ::-1]
@@ -146,6 +152,7 @@ class _SceneReader:
             rotation=placement.rotation,
             translation=placement.translation,
             pivot=placement.pivot,
+            joint=placement.joint,
         )
 
     def _triangles(self, primitive: Object, count: int, where: str) -> NDArray[np.int32]:

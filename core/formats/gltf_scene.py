@@ -11,12 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..arrays import readonly
 from ..mesh import Mesh, vertex_normals
+from ..rigid import rotation_from_quaternion
 from ..time_base import checked_times
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+#: Name of the node that carries the head's motion and all parts; as a joint: the head's.
+ROOT_NAME = "head"
 _WHITE = (1.0, 1.0, 1.0, 1.0)
 #: Lengths this near to 1 are left alone, so that what was stored in single precision stays as is.
 _UNIT = 1e-6
+#: A pivot that moves less than this, mm, stays: single precision at a metre is 6e-5.
+_STILL_MM = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +90,10 @@ class GltfPart:
         Made unit length, and continuous in sign.
     translation : (T, 3) float64, mm, or None
     pivot : (3,) float64, mm, head frame
+    joint : str or None
+        Bind the part to a joint of this name, which makes its motion; parts of one joint have the
+        same. ``"head"``: the head's own joint, for parts without a motion. None: the part's own
+        node moves.
     """
 
     name: str
@@ -103,6 +112,7 @@ class GltfPart:
     rotation: NDArray[np.float64] | None = None
     translation: NDArray[np.float64] | None = None
     pivot: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    joint: str | None = None
 
     def __post_init__(self) -> None:
         vertices = _finite(self.vertices, (None, 3), "vertices")
@@ -127,6 +137,9 @@ class GltfPart:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+        is_moved = self.rotation is not None or self.translation is not None
+        if self.joint is not None and (not self.joint or (self.joint == ROOT_NAME and is_moved)):
+            raise ValueError(f"part {self.name} moves by itself: it needs a joint of its own")
         self._check_textures()
         self._check_targets()
 
@@ -172,6 +185,9 @@ class GltfScene:
     root_translation : (T, 3) float64, mm, world frame, or None
     extras : mapping from str to str
         Whatever should travel with the file.
+    root_pivot : (3,) float64, mm, head frame
+        Where the head's node stands, such as the neck's pivot. It changes no motion, only how the
+        file says it: about a pivot that stays, by rotation alone.
     """
 
     name: str
@@ -180,6 +196,7 @@ class GltfScene:
     root_rotation: NDArray[np.float64] | None = None
     root_translation: NDArray[np.float64] | None = None
     extras: Mapping[str, str] = field(default_factory=dict)
+    root_pivot: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
     def __post_init__(self) -> None:
         parts = tuple(self.parts)
@@ -198,9 +215,21 @@ class GltfScene:
         for what, value in animated.items():
             if value is not None and (len(value) != len(times) or not len(times)):
                 raise ValueError(f"{what} has {len(value)} frames, time_s {len(times)}")
+        _check_joints(parts)
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "time_s", times)
         object.__setattr__(self, "extras", MappingProxyType(dict(self.extras)))
+        object.__setattr__(self, "root_pivot", _finite(self.root_pivot, (3,), "root_pivot"))
+
+    def root_places(self) -> NDArray[np.float64] | None:
+        """Where `root_pivot` goes in the world, (T, 3) mm; None if it stays where it is."""
+        pivot, found = self.root_pivot, self.root_translation
+        if self.root_rotation is not None and pivot.any():
+            turned = rotation_from_quaternion(self.root_rotation) @ pivot
+            found = turned if found is None else turned + found
+            stays = np.abs(found - pivot).max(initial=0.0) < _STILL_MM
+            return None if stays else found
+        return None if found is None else found + pivot
 
 
 def unweld(mesh: Mesh) -> tuple[NDArray[np.int32], GltfPart]:
@@ -224,6 +253,21 @@ def unweld(mesh: Mesh) -> tuple[NDArray[np.int32], GltfPart]:
     triangles = corner_to_pair.reshape(-1, 3).astype(np.int32)
     uv = mesh.uv[pairs[:, 1]]
     return rows, GltfPart("mesh", mesh.vertices[rows], triangles, normals[rows], uv)
+
+
+def _check_joints(parts: tuple[GltfPart, ...]) -> None:
+    """Parts of one joint must move alike."""
+    first: dict[str, GltfPart] = {}
+    for part in parts:
+        if part.joint is None or part.joint == ROOT_NAME:
+            continue
+        other = first.setdefault(part.joint, part)
+        for what in ("pivot", "rotation", "translation"):
+            a, b = getattr(part, what), getattr(other, what)
+            if (a is None) != (b is None) or (a is not None and not np.array_equal(a, b)):
+                raise ValueError(
+                    f"{other.name} and {part.name} share joint {part.joint}: one {what}"
+                )
 
 
 def unit_normals(normals: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..files import atomic_path
-from .gltf_scene import GltfPart, GltfScene, MorphTarget
+from .gltf_packer import Packer, numbers_of
+from .gltf_scene import ROOT_NAME, GltfPart, GltfScene, MorphTarget
+from .gltf_skin import Skeleton
+from .gltf_tangents import vertex_tangents
 
 METRES_PER_MM = 1e-3
-#: Name of the node that carries the head's motion and all parts.
-ROOT_NAME = "head"
 #: Key in a node's extras: the part's pivot, which the node's animated translation hides.
 PIVOT_KEY = "pivot_mm"
-_U16_LIMIT = 65535  # this index itself would restart the primitive (glTF 2.0, 3.7.2.1)
 _MAX_BYTES = 2**32 - 1  # the container's length field
 
 
@@ -41,8 +41,9 @@ def write_glb(path: Path, scene: GltfScene) -> None:
 
 def glb_bytes(scene: GltfScene) -> bytes:
     """What `write_glb` writes."""
-    packer = _Packer()
-    nodes = [_root_node(scene)]
+    packer = Packer()
+    skeleton = Skeleton.of(scene)
+    nodes = [_root_node(scene, skeleton), *(_joint_node(scene, p) for p in skeleton.parts)]
     meshes: list[gltf.Mesh] = []
     materials: list[gltf.Material] = []
     images: list[gltf.Image] = []
@@ -53,14 +54,17 @@ def glb_bytes(scene: GltfScene) -> bytes:
                 places[picture] = len(images)
                 images.append(gltf.Image(bufferView=packer.view(picture), mimeType="image/png"))
         materials.append(_material(part, places))
-        meshes.append(_mesh(packer, part, len(meshes)))
-        nodes.append(_part_node(part, len(meshes) - 1))
+        meshes.append(_mesh(packer, part, len(meshes), skeleton.index(part)))
+        nodes.append(_part_node(scene, part, len(meshes) - 1))
+    skins = [_skin(packer, skeleton)] if skeleton.is_used else []
+    shown = [0, *(i for i, node in enumerate(nodes) if node.skin is not None)]
     animation = _animation(packer, scene)
     document = gltf.GLTF2(
         asset=gltf.Asset(generator="facewright", version="2.0"),
         scene=0,
-        scenes=[gltf.Scene(name=scene.name, nodes=[0], extras=dict(scene.extras))],
+        scenes=[gltf.Scene(name=scene.name, nodes=shown, extras=dict(scene.extras))],
         nodes=nodes,
+        skins=skins,
         meshes=meshes,
         materials=materials,
         images=images,
@@ -82,107 +86,63 @@ _MIPMAPPED = gltf.Sampler(
 )
 
 
-class _Packer:
-    """Collects the binary chunk, its views and accessors."""
-
-    def __init__(self) -> None:
-        self.data = bytearray()
-        self.views: list[gltf.BufferView] = []
-        self.accessors: list[gltf.Accessor] = []
-
-    def view(self, data: bytes, target: int | None = None) -> int:
-        self.data.extend(bytes(-len(self.data) % 4))
-        view = gltf.BufferView(
-            buffer=0, byteOffset=len(self.data), byteLength=len(data), target=target
-        )
-        self.views.append(view)
-        self.data.extend(data)
-        return len(self.views) - 1
-
-    def array(
-        self, values: NDArray[np.float64], kind: str, *, target: int | None = None, bounds: bool
-    ) -> int:
-        """An accessor of float32 values, (n, k) or (n,)."""
-        a = np.ascontiguousarray(values, dtype="<f4")
-        accessor = gltf.Accessor(
-            bufferView=self.view(a.tobytes(), target),
-            componentType=gltf.FLOAT,
-            count=len(a),
-            type=kind,
-        )
-        if bounds:
-            rows = a.reshape(len(a), -1)
-            accessor.min, accessor.max = _numbers(rows.min(axis=0)), _numbers(rows.max(axis=0))
-        return self._add(accessor)
-
-    def indices(self, triangles: NDArray[np.int32], n_vertices: int) -> int:
-        kind, dtype = _index_type(n_vertices, _U16_LIMIT)
-        view = self.view(triangles.astype(dtype).tobytes(), gltf.ELEMENT_ARRAY_BUFFER)
-        return self._add(
-            gltf.Accessor(
-                bufferView=view, componentType=kind, count=triangles.size, type=gltf.SCALAR
-            )
-        )
-
-    def sparse(self, values: NDArray[np.float64], row_view: int, count: int) -> int:
-        """An accessor of `count` 3-vectors, zero except in the rows whose indices are stored."""
-        a = np.ascontiguousarray(values, dtype="<f4")
-        seen = a if len(a) == count else np.concatenate([a, np.zeros((1, 3), "<f4")])
-        indices = gltf.AccessorSparseIndices(
-            bufferView=row_view, componentType=_index_type(count, _U16_LIMIT + 1)[0]
-        )
-        return self._add(
-            gltf.Accessor(
-                byteOffset=None,  # allowed only beside a buffer view
-                componentType=gltf.FLOAT,
-                count=count,
-                type=gltf.VEC3,
-                min=_numbers(seen.min(axis=0)),
-                max=_numbers(seen.max(axis=0)),
-                sparse=gltf.Sparse(
-                    count=len(a),
-                    indices=indices,
-                    values=gltf.AccessorSparseValues(bufferView=self.view(a.tobytes())),
-                ),
-            )
-        )
-
-    def sparse_rows(self, rows: NDArray[np.int32], count: int) -> int:
-        return self.view(rows.astype(_index_type(count, _U16_LIMIT + 1)[1]).tobytes())
-
-    def _add(self, accessor: gltf.Accessor) -> int:
-        self.accessors.append(accessor)
-        return len(self.accessors) - 1
-
-
-def _index_type(n_vertices: int, limit: int) -> tuple[int, str]:
-    small = n_vertices <= limit
-    return (gltf.UNSIGNED_SHORT, "<u2") if small else (gltf.UNSIGNED_INT, "<u4")
-
-
-def _root_node(scene: GltfScene) -> gltf.Node:
-    node = gltf.Node(name=ROOT_NAME, children=list(range(1, len(scene.parts) + 1)))
+def _root_node(scene: GltfScene, skeleton: Skeleton) -> gltf.Node:
+    first = 1 + len(skeleton.parts)
+    free = [first + i for i, part in enumerate(scene.parts) if part.joint is None]
+    node = gltf.Node(name=ROOT_NAME, children=[*range(1, first), *free])
     if scene.root_rotation is not None:
-        node.rotation = _numbers(_xyzw(scene.root_rotation)[0])
-    if scene.root_translation is not None:
-        node.translation = _numbers(scene.root_translation[0] * METRES_PER_MM)
+        node.rotation = numbers_of(_xyzw(scene.root_rotation)[0])
+    places = scene.root_places()
+    place = scene.root_pivot if places is None else places[0]
+    if places is not None or place.any():
+        node.translation = numbers_of(place * METRES_PER_MM)
+    if scene.root_pivot.any():
+        node.extras = {PIVOT_KEY: [float(x) for x in scene.root_pivot]}
     return node
 
 
-def _part_node(part: GltfPart, mesh: int) -> gltf.Node:
-    node = gltf.Node(name=part.name, mesh=mesh)
+def _part_node(scene: GltfScene, part: GltfPart, mesh: int) -> gltf.Node:
+    if part.joint is not None:  # skinned: its own place counts for nothing (glTF 2.0, 3.7.3.3)
+        return gltf.Node(name=part.name, mesh=mesh, skin=0)
+    node = _moving_node(scene, part)
+    node.name, node.mesh = part.name, mesh
+    return node
+
+
+def _joint_node(scene: GltfScene, part: GltfPart) -> gltf.Node:
+    node = _moving_node(scene, part)
+    node.name, node.extras = part.joint, {PIVOT_KEY: [float(x) for x in part.pivot]}
+    return node
+
+
+def _moving_node(scene: GltfScene, part: GltfPart) -> gltf.Node:
+    """A node that stands at a part's pivot, in its first pose."""
+    node = gltf.Node()
     if part.rotation is not None:
-        node.rotation = _numbers(_xyzw(part.rotation)[0])
+        node.rotation = numbers_of(_xyzw(part.rotation)[0])
     first = part.pivot if part.translation is None else part.pivot + part.translation[0]
+    first = first - scene.root_pivot
     if first.any():
-        node.translation = _numbers(first * METRES_PER_MM)
+        node.translation = numbers_of(first * METRES_PER_MM)
     if part.pivot.any() or part.translation is not None:
         node.extras = {PIVOT_KEY: [float(x) for x in part.pivot]}
     return node
 
 
-def _mesh(packer: _Packer, part: GltfPart, material: int) -> gltf.Mesh:
-    vertices = (part.vertices - part.pivot) * METRES_PER_MM
+def _skin(packer: Packer, skeleton: Skeleton) -> gltf.Skin:
+    binds = packer.array(skeleton.inverse_binds(), gltf.MAT4, bounds=False)
+    return gltf.Skin(
+        name=ROOT_NAME,
+        skeleton=0,
+        joints=list(range(len(skeleton.names))),
+        inverseBindMatrices=binds,
+    )
+
+
+def _mesh(packer: Packer, part: GltfPart, material: int, joint: int | None) -> gltf.Mesh:
+    vertices = part.vertices * METRES_PER_MM
+    if joint is None:
+        vertices = (part.vertices - part.pivot) * METRES_PER_MM
     attributes = gltf.Attributes(
         POSITION=packer.array(vertices, gltf.VEC3, target=gltf.ARRAY_BUFFER, bounds=True),
         NORMAL=packer.array(part.normals, gltf.VEC3, target=gltf.ARRAY_BUFFER, bounds=False),
@@ -190,21 +150,37 @@ def _mesh(packer: _Packer, part: GltfPart, material: int) -> gltf.Mesh:
     if part.uv is not None:
         uv = np.stack([part.uv[:, 0], 1 - part.uv[:, 1]], axis=1)
         attributes.TEXCOORD_0 = packer.array(uv, gltf.VEC2, target=gltf.ARRAY_BUFFER, bounds=False)
+    if joint is not None:
+        attributes.JOINTS_0 = packer.bytes4((joint, 0, 0, 0), len(vertices), normalized=False)
+        attributes.WEIGHTS_0 = packer.bytes4((255, 0, 0, 0), len(vertices), normalized=True)
     primitive = gltf.Primitive(
         attributes=attributes,
         indices=packer.indices(part.triangles, len(vertices)),
         material=material,
         targets=[_target(packer, target, len(vertices)) for target in part.targets],
     )
+    if part.uv is not None and part.normal_png is not None:
+        attributes.TANGENT = _tangents(packer, part, vertices, uv)
     mesh = gltf.Mesh(name=part.name, primitives=[primitive])
     if part.targets:
         rest = np.zeros(len(part.targets)) if part.weights is None else part.weights[0]
-        mesh.weights = _numbers(rest)
+        mesh.weights = numbers_of(rest)
         mesh.extras = {"targetNames": [target.name for target in part.targets]}
     return mesh
 
 
-def _target(packer: _Packer, target: MorphTarget, n_vertices: int) -> gltf.Attributes:
+def _tangents(
+    packer: Packer, part: GltfPart, vertices: NDArray[np.float64], uv: NDArray[np.float64]
+) -> int:
+    """Of what is stored, in single precision, so that a file that was read is written as it was."""
+    points, normals, at = (
+        a.astype(np.float32).astype(np.float64) for a in (vertices, part.normals, uv)
+    )
+    found = vertex_tangents(points, part.triangles, normals, at)
+    return packer.array(found, gltf.VEC4, target=gltf.ARRAY_BUFFER, bounds=False)
+
+
+def _target(packer: Packer, target: MorphTarget, n_vertices: int) -> gltf.Attributes:
     rows, offsets, normals = target.rows, target.offsets * METRES_PER_MM, target.normal_offsets
     if not len(rows):  # sparse arrays are never empty, and some readers know no arrays of nothing
         rows, offsets = np.zeros(1, np.int32), np.zeros((1, 3))
@@ -239,7 +215,7 @@ def _material(part: GltfPart, places: Mapping[bytes, int]) -> gltf.Material:
     )
 
 
-def _animation(packer: _Packer, scene: GltfScene) -> gltf.Animation | None:
+def _animation(packer: Packer, scene: GltfScene) -> gltf.Animation | None:
     """One animation of all that moves; None where nothing does."""
     curves = list(_animated(scene))
     if not curves:
@@ -269,17 +245,25 @@ def _animated(scene: GltfScene) -> list[tuple[int, str, str, NDArray[np.float64]
         node: int,
         rotation: NDArray[np.float64] | None,
         translation: NDArray[np.float64] | None,
-        pivot: NDArray[np.float64],
     ) -> None:
         if rotation is not None:
             found.append((node, "rotation", gltf.VEC4, _xyzw(rotation)))
         if translation is not None:
-            metres = (pivot + translation) * METRES_PER_MM
-            found.append((node, "translation", gltf.VEC3, metres))
+            found.append((node, "translation", gltf.VEC3, translation * METRES_PER_MM))
 
-    add_motion(0, scene.root_rotation, scene.root_translation, np.zeros(3))
-    for node, part in enumerate(scene.parts, start=1):
-        add_motion(node, part.rotation, part.translation, part.pivot)
+    joints = Skeleton.of(scene).parts
+
+    def places(part: GltfPart) -> NDArray[np.float64] | None:
+        if part.translation is None:
+            return None
+        return part.translation + part.pivot - scene.root_pivot
+
+    add_motion(0, scene.root_rotation, scene.root_places())
+    for node, part in enumerate(joints, start=1):
+        add_motion(node, part.rotation, places(part))
+    for node, part in enumerate(scene.parts, start=1 + len(joints)):
+        if part.joint is None:
+            add_motion(node, part.rotation, places(part))
         if part.weights is not None:
             found.append((node, "weights", gltf.SCALAR, part.weights.ravel()))
     return found
@@ -287,11 +271,6 @@ def _animated(scene: GltfScene) -> list[tuple[int, str, str, NDArray[np.float64]
 
 def _xyzw(wxyz: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.roll(wxyz, -1, axis=-1)
-
-
-def _numbers(values: NDArray[np.generic] | Sequence[float]) -> list[float]:
-    """Single-precision values as JSON numbers, so that they equal what the buffers hold."""
-    return [float(x) for x in np.asarray(values, dtype=np.float32)]
 
 
 def _container(document: str, binary: bytearray) -> bytes:

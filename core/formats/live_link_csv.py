@@ -52,6 +52,8 @@ CHANNELS = (*ARKIT_SHAPES, *ROTATIONS)
 #: The app's usual rate, and those that a file's time codes are taken for, frames/s.
 USUAL_RATE = 60
 _RATES = (24, 25, 30, 50, 60, 100, 120)
+#: Frame numbers are written with three decimals.
+_EVEN_FRAMES = 4e-3
 _TIME_NAMES = ("timecode", "time_s", "time", "timestamp")
 _COUNT_NAME = "blendshapecount"
 _MAX_BYTES = 256 * 1024 * 1024
@@ -67,8 +69,9 @@ def read_live_link_csv(path: Path, *, timecode_rate: float | None = None) -> Cli
     ----------
     path : Path
     timecode_rate : float or None
-        Frames of the time code that make a second. None: the app's 60, or the nearest usual rate
-        above the largest frame number where the file crosses a whole second.
+        Frames of the time code that make a second. None: the number at which the file's seconds
+        end, where its frames are evenly spaced; else the app's 60, or the nearest usual rate above
+        the largest frame number where the file crosses a whole second.
 
     Returns
     -------
@@ -191,9 +194,25 @@ def _timecodes(
 
 def _rate(whole: NDArray[np.float64], frames: NDArray[np.float64]) -> float:
     """The rate that the frame numbers speak for."""
+    counted = _counted_rate(whole, frames)
+    if counted is not None:
+        return counted
     full = len(set(whole.tolist())) >= 3  # a whole second from its first frame to its last
     lowest = frames.max() if full else max(frames.max(), USUAL_RATE - 1)
     return float(next((r for r in _RATES if lowest < r), math.floor(lowest) + 1))
+
+
+def _counted_rate(whole: NDArray[np.float64], frames: NDArray[np.float64]) -> float | None:
+    """The frame number at which a second ends, where steps are even and all ends agree."""
+    is_next = np.diff(whole) == 1
+    steps = np.diff(frames)[np.diff(whole) == 0]
+    if not is_next.any() or not len(steps) or np.ptp(steps) > _EVEN_FRAMES:
+        return None
+    ends = frames[:-1][is_next] + float(np.median(steps)) - frames[1:][is_next]
+    for rate in (*_RATES, *(r * 1000 / 1001 for r in (24, 30, 60, 120))):
+        if np.abs(ends - rate).max() < _EVEN_FRAMES:
+            return float(rate)
+    return None
 
 
 def _number(path: Path, line: int, channel: str, cell: str) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import gzip
 import hashlib
 import html.parser
 import io
@@ -21,11 +22,19 @@ import pytest
 from PIL import Image
 
 from facewright.cli import page as page_module
-from facewright.cli.page import PageModel, PageTable, PageVideo, write_page
+from facewright.cli import page_html
+from facewright.cli.page import PageCurves, PageModel, PageSound, PageTable, PageVideo, write_page
 from facewright.cli.page_channels import REGIONS, channel_entries, region_of, shown_first
+from facewright.core.audio import Audio
 from facewright.core.clip import Clip
 from facewright.core.errors import FileFormatError, InputError
-from facewright.core.formats.gltf import GltfPart, GltfScene, MorphTarget, glb_bytes
+from facewright.core.formats.gltf import (
+    GltfPart,
+    GltfScene,
+    MorphTarget,
+    glb_bytes,
+    scene_from_glb,
+)
 from facewright.core.mpeg4 import fap_channels
 
 RATE_HZ = 25
@@ -60,17 +69,25 @@ def head_glb(name: str = "head") -> bytes:
     return glb_bytes(GltfScene(name, (part,), TIMES))
 
 
-def video_mp4(codec: str = "libx264", suffix: str = "mp4") -> bytes:
-    """Frame i has the grey level 16 + 4 i all over."""
+def video_mp4(*, has_sound: bool = False) -> bytes:
+    """Frame i has the grey level 16 + 4 i all over; the sound is a tone."""
     out = io.BytesIO()
-    with av.open(out, "w", format=suffix) as container:
-        stream = container.add_stream(codec, rate=RATE_HZ)
+    with av.open(out, "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=RATE_HZ)
         stream.width, stream.height, stream.pix_fmt = 128, 96, "yuv420p"
+        sound = container.add_stream("aac", rate=48000, layout="mono") if has_sound else None
         for i in range(N_FRAMES):
             grey = np.full((96, 128, 3), 16 + 4 * i, np.uint8)
             frame = av.VideoFrame.from_ndarray(grey, format="rgb24")
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
+        if sound is not None:
+            for i in range(94):
+                tone = 0.2 * np.sin(0.02 * (1024 * i + np.arange(1024, dtype=np.float32)))
+                block = av.AudioFrame.from_ndarray(tone[None], format="fltp", layout="mono")
+                block.sample_rate, block.pts = 48000, 1024 * i
+                container.mux(sound.encode(block))
+            container.mux(sound.encode(None))
     return out.getvalue()
 
 
@@ -117,6 +134,10 @@ class Blocks(html.parser.HTMLParser):
             self.modules.append(data)
 
 
+def unpacked(blocks: Blocks, name: str) -> bytes:
+    return gzip.decompress(base64.b64decode(blocks.scripts[name]))
+
+
 def page_text(tmp_path: Path, **parts: Any) -> str:
     path = tmp_path / "page.html"
     write_page(path, **{"title": "take", **parts})
@@ -152,7 +173,7 @@ def test_nothing_on_the_page_can_reach_a_network(tmp_path: Path) -> None:
     assert sources == {("link", "href"): "data:,"}
     own = "\n".join(
         (Path(page_module.__file__).parent / "data" / name).read_text()
-        for name in ("page.html", "page.css", "page.js", "page_media.js", "page_plot.js")
+        for name in ("page.html", "page.css", *page_html._SCRIPTS)
     )
     assert (
         re.findall(
@@ -190,11 +211,11 @@ def test_what_is_embedded_is_what_was_given(tmp_path: Path) -> None:
     )
 
     config = json.loads(blocks.scripts["config"])
-    assert base64.b64decode(blocks.scripts["model-0"]) == glb
+    assert unpacked(blocks, "model-0") == glb
     assert base64.b64decode(blocks.scripts["video-0"]) == mp4
-    times = np.frombuffer(base64.b64decode(blocks.scripts["curve-times"]), "<f8")
-    values = np.frombuffer(base64.b64decode(blocks.scripts["curve-values"]), "<f4")
-    names = [channel["name"] for channel in config["curves"]["channels"]]
+    times = np.frombuffer(unpacked(blocks, "curves-0-times"), "<f8")
+    values = np.frombuffer(unpacked(blocks, "curves-0-values"), "<f4")
+    names = [channel["name"] for channel in config["clips"][0]["channels"]]
     assert names == ["open_jaw", "raise_l_i_eyebrow", "head_yaw"]  # those that are set at all
     assert (times == clip.time_s).all()
     expected = np.stack([clip[name] for name in names]).astype("f4")
@@ -232,7 +253,7 @@ def test_hostile_texts_stay_texts(tmp_path: Path) -> None:
     blocks = Blocks(text)
     config = json.loads(blocks.scripts["config"])
     assert config["models"][0]["label"] == config["videos"][0]["label"] == EVIL
-    assert config["curves"]["channels"][0]["name"] == EVIL
+    assert config["clips"][0]["channels"][0]["name"] == EVIL
     assert blocks.rest.count(EVIL) == 6  # title twice, caption, header, cell, notes
     scripts = [a for t, a in blocks.tags if t == "script"]
     assert [a.get("type") for a in scripts].count("module") == 2
@@ -241,7 +262,7 @@ def test_hostile_texts_stay_texts(tmp_path: Path) -> None:
 
 
 def test_a_script_cannot_be_ended_from_within() -> None:
-    script = page_module._inline('a = "</SCRIPT>" + "<!--" + "<script>";\n//# sourceMappingURL=x')
+    script = page_html.inline('a = "</SCRIPT>" + "<!--" + "<script>";\n//# sourceMappingURL=x')
 
     assert re.search("<(/?script|!--)", script, re.IGNORECASE) is None
     assert script == r'a = "\x3c/SCRIPT>" + "\x3c!--" + "\x3cscript>";'
@@ -420,6 +441,7 @@ def browser() -> Iterator[Browser]:
             "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run "
             "--disable-background-networking --disable-component-update --disable-sync "
             "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader "
+            "--autoplay-policy=no-user-gesture-required "
             f"--window-size=900,700 --user-data-dir={profile}"
         ).split():
             options.add_argument(argument)
@@ -682,8 +704,328 @@ def test_long_curves_are_drawn_in_columns(browser: Browser, tmp_path: Path) -> N
         "const x0 = Math.round(c.width * .3), x1 = Math.round(c.width * .75);"
         "for (let y = 0; y < c.height; y++) for (let x = x0; x < x1; x++) {"
         " const i = 4 * (y * c.width + x);"
-        " if (d[i] > 200 && d[i + 1] > 140 && d[i + 2] < 140) rows.add(y); }"
+        " if (d[i + 3] > 128 && d[i] - d[i + 2] > 80) rows.add(y); }"  # orange, dark or light
         "return rows.size / c.height"
     )
 
     assert inked > 0.5
+
+
+# sound, ranges, comparing, points
+
+
+def spoken(seconds: float = 1.6, rate_hz: int = 16000) -> Audio:
+    time_s = np.arange(int(seconds * rate_hz)) / rate_hz
+    return Audio((0.3 * np.sin(2 * np.pi * 180 * time_s)).astype(np.float32), rate_hz)
+
+
+@pytest.fixture(scope="module")
+def sounding_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """2 s of curves and pictures, 1.6 s of sound."""
+    path = tmp_path_factory.mktemp("sound") / "page.html"
+    write_page(
+        path,
+        title="spoken",
+        videos=[PageVideo("cam", video_mp4())],
+        curves=fap_clip(),
+        sound=PageSound("line.wav", spoken()),
+    )
+    return path
+
+
+def sleep(browser: Browser, seconds: float) -> None:
+    browser.wait(f"new Promise((done) => setTimeout(done, {1000 * seconds}))")
+
+
+def test_the_sound_is_the_clock(browser: Browser, sounding_page: Path) -> None:
+    browser.load(sounding_page)
+    browser.seek(0.3)
+    browser.run("facewright.play()")
+    browser.wait(
+        "new Promise((done) => { const look = () => facewright.state().leading === 'leading'"
+        " && facewright.state().time > 0.32 ? done() : setTimeout(look, 10); look(); })"
+    )
+    pairs = []
+    for _ in range(5):
+        sleep(browser, 0.1)
+        state = browser.state()
+        pairs.append((state["time"], state["soundTime"], state["frame"] / RATE_HZ))
+    browser.wait("facewright.pause()")
+    rest = browser.state()
+
+    times = np.array(pairs)
+    assert (np.diff(times[:, 0]) > 0.02).all()
+    assert np.abs(times[:, 0] - times[:, 1]).max() < 0.005  # read one after the other
+    assert np.abs(times[:, 0] - times[:, 2]).max() < 0.2  # what is drawn, on a busy machine
+    assert not rest["playing"] and rest["leading"] == "idle"
+    assert browser.grey() == pytest.approx(16 + 4 * rest["frame"], abs=1.9)
+
+
+def test_a_video_with_sound_is_the_clock_and_the_head_follows(
+    browser: Browser, tmp_path: Path
+) -> None:
+    path = tmp_path / "page.html"
+    write_page(
+        path,
+        title="film",
+        models=[PageModel("head", head_glb())],
+        videos=[PageVideo("cam", video_mp4(has_sound=True)), PageVideo("other", video_mp4())],
+    )
+    browser.load(path)
+    browser.run("facewright.play()")
+    browser.wait(
+        "new Promise((done) => { const look = () => facewright.state().leading === 'leading'"
+        " && facewright.state().time > 0.1 ? done() : setTimeout(look, 10); look(); })"
+    )
+    state = browser.state()
+    browser.wait("facewright.pause()")
+    rest = browser.state()
+    muted = browser.run("return [...document.querySelectorAll('video')].map((v) => v.muted)")
+
+    assert state["time"] == pytest.approx(state["videoTime"], abs=0.005)
+    assert rest["videoTime"] == pytest.approx(rest["time"], abs=2e-3)
+    assert rest["modelTime"] == pytest.approx(rest["time"], abs=1e-3)
+    assert browser.grey() == pytest.approx(16 + 4 * rest["frame"], abs=1.9)
+    assert muted == [False, True]
+
+
+def test_where_the_sound_stands_still_so_do_the_pictures(
+    browser: Browser, sounding_page: Path
+) -> None:
+    browser.load(sounding_page)
+    browser.run(
+        "const start = HTMLMediaElement.prototype.play;"
+        "HTMLMediaElement.prototype.play = function () { if (this.tagName === 'AUDIO') {"
+        " window.sound = this; } return start.call(this); };"
+        "facewright.play();"
+    )
+    browser.wait(
+        "new Promise((done) => { const look = () => facewright.state().leading === 'leading'"
+        " ? done() : setTimeout(look, 10); look(); })"
+    )
+    # a sound that runs at a tenth of its speed, whatever the clock asked for
+    browser.run("window.sound.playbackRate = 0.1")
+    sleep(browser, 0.2)
+    begin = browser.state()["time"]
+    sleep(browser, 0.8)
+    passed = browser.state()["time"] - begin
+    browser.wait("facewright.pause()")
+
+    assert 0.02 < passed < 0.25
+
+
+def test_after_the_sound_has_ended_time_goes_on(browser: Browser, sounding_page: Path) -> None:
+    browser.load(sounding_page)
+    browser.press("l")
+    browser.seek(1.4)
+    browser.run("facewright.play()")
+    sleep(browser, 1.8)
+
+    state = browser.state()
+
+    assert not state["playing"]
+    assert state["time"] == pytest.approx(state["duration"])
+    assert state["duration"] == pytest.approx(2.0, abs=0.05)
+
+
+def test_a_range_is_played_again_and_again(browser: Browser, sounding_page: Path) -> None:
+    browser.load(sounding_page)
+    browser.seek(0.6)
+    browser.press("i")
+    browser.seek(1.0)
+    browser.press("o")
+    browser.run("facewright.play()")
+    seen = []
+    for _ in range(12):
+        sleep(browser, 0.1)
+        seen.append(browser.state()["time"])
+    browser.wait("facewright.pause()")
+    marked = browser.state()
+    browser.press("Home")
+    begin = browser.state()["time"]
+    browser.press("x")
+    whole = browser.state()
+
+    assert (marked["inPoint"], marked["outPoint"]) == (0.6, 1.0)
+    assert min(seen) >= 0.6 - 1e-6 and max(seen) <= 1.0 + 1e-6
+    assert min(np.diff(seen)) < 0  # it came round
+    assert begin == 0.6
+    assert whole["inPoint"] is None and whole["outPoint"] is None
+
+
+def test_any_speed_may_be_asked_for(browser: Browser, full_page: Path) -> None:
+    browser.load(full_page)
+    speeds = []
+    for asked in (0.35, 3.0, 100.0, 0.0):
+        browser.wait(f"facewright.setSpeed({asked})")
+        speeds.append(browser.state()["speed"])
+    browser.wait("facewright.setSpeed(1)")
+    browser.press("]")
+    faster = browser.state()["speed"]
+    browser.press("[")
+
+    assert speeds == [0.35, 3.0, 8.0, 0.1]
+    assert faster == 1.25 and browser.state()["speed"] == 1.0
+
+
+def test_clips_are_compared_by_their_channels_names(browser: Browser, tmp_path: Path) -> None:
+    steady = np.full((N_FRAMES, 2), (100.0, 5000.0))
+    steady[-1] = 0.0
+    first = Clip(TIMES, ("open_jaw", "head_yaw"), steady)
+    second = Clip(TIMES[:25], ("open_jaw",), np.linspace(0, 240, 25)[:, None])
+    path = tmp_path / "page.html"
+    curves = [PageCurves("take1.fap", first), PageCurves("take2.fap", second, start_s=0.2)]
+    write_page(path, title="two", curves=curves)
+    browser.load(path)
+
+    def legend_at(time_s: float) -> str:
+        browser.seek(time_s)
+        return str(browser.run("return document.querySelector('.legend').innerText"))
+
+    assert "take1.fap" in legend_at(0.5) and "take2.fap" in legend_at(0.5)
+    assert "100 | 80" in legend_at(0.53)  # frame 8 of the second, which begins at 0.2 s
+    assert "100 | –" in legend_at(0.0)  # not begun
+    assert "100 | –" in legend_at(1.6)  # ended
+    assert browser.state()["duration"] == pytest.approx(TIMES[-1])
+
+
+def test_points_are_shown_on_demand_and_go_with_the_surface(
+    browser: Browser, tmp_path: Path
+) -> None:
+    scene = scene_from_glb(head_glb(), "head")
+    ball = scene.parts[0]
+    chin = int(ball.vertices[:, 1].argmin())
+    front = int(ball.vertices[:, 2].argmax())
+    points = {name: f"0 0 {v} {v} {v} 1 0 0" for name, v in (("2.1", chin), ("9.3", front))}
+    path = tmp_path / "page.html"
+    model = PageModel("head", head_glb(), orbit="0deg 90deg 160%", points=points)
+    write_page(path, title="points", models=[model])
+    browser.load(path)
+
+    def heights() -> dict[str, float]:
+        sleep(browser, 0.5)
+        found: dict[str, float] = browser.run(
+            "return Object.fromEntries([...document.querySelectorAll('.point')].map((p) =>"
+            " [p.innerText.trim() || p.textContent, p.getBoundingClientRect().top]))"
+        )
+        return found
+
+    none = heights()
+    browser.press("p")
+    browser.seek(0.0)
+    shut = heights()
+    browser.seek(1.0)
+    wide = heights()
+    browser.press("p")
+    named = browser.run("return document.querySelector('.pane').dataset.points")
+    browser.press("p")
+
+    assert none == {} and set(shut) == {"2.1", "9.3"}
+    size = shut["2.1"] - shut["9.3"]  # 90 mm
+    assert (wide["2.1"] - shut["2.1"]) / size == pytest.approx(24 / 90, abs=0.03)
+    assert abs(wide["9.3"] - shut["9.3"]) < 0.05 * size
+    assert named == "names" and heights() == {}
+
+
+def test_heads_turn_together_until_they_are_parted(browser: Browser, tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    write_page(path, title="two", models=[PageModel(n, head_glb()) for n in ("a", "b")])
+    browser.load(path)
+    turn = (
+        "const [first] = document.querySelectorAll('model-viewer');"
+        "const box = first.getBoundingClientRect(), x = box.left + box.width / 2;"
+        "const target = first.shadowRoot.querySelector('.userInput');"
+        "const send = (to, name, dx) => to.dispatchEvent(new PointerEvent(name, {clientX: x + dx,"
+        " clientY: box.top + box.height / 2, button: 0, buttons: 1, pointerId: 7, isPrimary: true,"
+        " pointerType: 'mouse', bubbles: true, composed: true}));"
+        "send(target, 'pointerdown', 0); for (let d = 10; d <= 100; d += 10)"
+        " send(target, 'pointermove', d); send(target, 'pointerup', 100);"
+    )
+    thetas = (
+        "return [...document.querySelectorAll('model-viewer')].map((v) => v.getCameraOrbit().theta)"
+    )
+
+    browser.run(turn)
+    sleep(browser, 1.5)
+    together = browser.run(thetas)
+    browser.press("v")
+    browser.run(turn)
+    sleep(browser, 1.5)
+    parted = browser.run(thetas)
+
+    assert abs(together[0]) > 0.2
+    assert together[1] == pytest.approx(together[0], abs=1e-3)
+    assert parted[1] == pytest.approx(together[1], abs=1e-3)
+    assert abs(parted[0] - parted[1]) > 0.2
+
+
+def test_keys_are_listed_and_only_those_that_do_something(
+    browser: Browser, full_page: Path, tmp_path: Path
+) -> None:
+    browser.load(full_page)
+    browser.press("?")
+    listed = browser.run("return document.querySelector('dialog[open]').innerText")
+    browser.press("?")
+    is_open = browser.run("return document.querySelector('dialog').open")
+    path = tmp_path / "page.html"
+    write_page(path, title="curves", curves=fap_clip())
+    browser.load(path)
+    browser.press("?")
+    without = browser.run("return document.querySelector('dialog[open]').innerText")
+
+    for words in ("play or pause", "a frame on", "play from here", "faster", "from the front"):
+        assert words in listed, words
+    assert not is_open
+    assert "from the front" not in without and "sound" not in without
+
+
+def test_light_and_dark_differ_everywhere(browser: Browser, full_page: Path) -> None:
+    browser.load(full_page)
+    level = {}
+    for _ in range(2):
+        theme = browser.run("return document.documentElement.dataset.theme")
+        sleep(browser, 0.3)
+        level[theme] = float(browser.screenshot().mean())
+        browser.press("t")
+
+    assert set(level) == {"light", "dark"}
+    assert level["light"] > 180 and level["dark"] < 80
+
+
+@pytest.mark.parametrize("width", [360, 768, 1600])
+def test_nothing_hangs_over_the_edge_at_any_width(
+    width: int, browser: Browser, sounding_page: Path
+) -> None:
+    size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 600}
+    browser._driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    try:
+        browser.load(sounding_page)
+        wide = browser.run("return document.documentElement.scrollWidth")
+        cut = browser.run(
+            "return [...document.querySelectorAll('.transport *, .legend *, .pane')].filter((e) =>"
+            " e.getBoundingClientRect().right > innerWidth + 1).map((e) => e.outerHTML)"
+        )
+    finally:
+        browser._driver.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+    assert wide <= width
+    assert cut == []
+
+
+def test_a_sound_alone_is_a_page(browser: Browser, tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    write_page(path, title="line", sound=PageSound("line.wav", spoken()))
+    browser.load(path)
+
+    inked = browser.run(
+        "const c = document.querySelector('.plot canvas'), d = c.getContext('2d')"
+        ".getImageData(0, 0, c.width, c.height).data; let n = 0;"
+        "for (let x = 0; x < c.width; x++) for (let y = 10; y < 64; y++)"
+        " if (d[4 * (y * c.width + x) + 3] > 200 && d[4 * (y * c.width + x) + 2]"
+        " - d[4 * (y * c.width + x)] > 40) { n++; break; }"
+        "return n / c.width"
+    )
+
+    assert browser.state()["duration"] == pytest.approx(1.6)
+    assert inked > 0.8
+    assert browser.errors() == []

@@ -16,12 +16,18 @@ from numpy.typing import NDArray
 from facewright.core.clip import Clip
 from facewright.core.errors import InputError
 from facewright.datasets_synthetic.foreign_heads import ForeignHead, foreign_head
+from facewright.heads import own_start
+from facewright.heads.face_landmarks import NAMED_LANDMARKS
 from facewright.heads.face_network import face_networks_path
 from facewright.heads.head import Head
+from facewright.heads.lip_slit import lips_part
 from facewright.heads.own_head import OwnHead, own_head, read_own_head
 from facewright.heads.own_mesh import OwnMesh
 from facewright.heads.own_points import near_surface
-from facewright.heads.template_warp import Surface
+from facewright.heads.place_face_landmarks import template_face_landmarks
+from facewright.heads.raycast import import_open3d
+from facewright.heads.skin_surface import Surface
+from facewright.heads.subdivision import icosphere
 from facewright.retarget.drive import HeadDrive
 
 CLICKS = ("3.7", "3.8", "9.3", "8.3", "8.4")
@@ -113,6 +119,7 @@ def test_the_stranger_moves(clicked: OwnHead) -> None:
     at = dict(zip(head.feature_points.names, head.feature_points.at(moved), strict=True))
     went = {name: at[name] - head.points[name] for name in at}
     assert clicked.lips_part
+    assert lips_part(head)
     assert went["2.3"][1] < -4.0
     assert abs(went["2.2"][1]) < 0.5
     assert went["2.1"][1] < -4.0
@@ -122,6 +129,104 @@ def test_the_stranger_moves(clicked: OwnHead) -> None:
     lower, upper = (head.part_vertices(f"teeth_{part}") for part in ("lower", "upper"))
     assert (moved - head.mesh.vertices)[lower, 1].mean() < -2.0
     assert np.abs((moved - head.mesh.vertices)[upper]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("nose_tip", "mouth_left", "mouth_right"),
+        ("eye_right_outer", "eye_left_outer", "mouth_left"),
+    ],
+)
+def test_three_rough_clicks_with_plain_names_are_enough(
+    people: tuple[Head, ...], names: tuple[str, ...]
+) -> None:
+    """Each 1.5 mm off along every axis, as a hand with a mouse may be; mean 0.4 to 0.8 mm."""
+    rng = np.random.default_rng(21)
+    foreign = foreign_head(people[9], rng, unit_mm=1.0, turn="x up")
+    marks = template_face_landmarks()
+    at = dict(zip(marks.names, marks.at(people[9].mesh.vertices), strict=True))
+    rough = {n: at[str(NAMED_LANDMARKS[n])] + rng.normal(0, 1.5, 3) for n in names}
+    clicks = {n: foreign.turn @ p + foreign.shift for n, p in rough.items()}
+
+    found = own_head(as_mesh(foreign), "rough", clicks)
+
+    off = errors_mm(found, foreign)
+    assert np.mean(list(off.values())) < 1.2
+    assert max(off.values()) < 5.0
+
+
+@pytest.mark.slow
+def test_two_hundred_thousand_vertices_are_taken(people: tuple[Head, ...]) -> None:
+    rng = np.random.default_rng(22)
+    foreign = foreign_head(people[1], rng, skin_vertices=14_000, unit_mm=1.0, turn="y up")
+    o3d = import_open3d()
+    coarse = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(np.array(foreign.vertices)),
+        o3d.utility.Vector3iVector(np.array(foreign.triangles)),
+    )
+    fine = coarse.subdivide_midpoint(2)
+    triangles = np.asarray(fine.triangles).astype(np.int32)
+    none = np.zeros(len(triangles), np.int32)
+
+    found = own_head(
+        OwnMesh(np.asarray(fine.vertices), triangles, ("mesh",), none),
+        "fine",
+        {n: foreign.points[n] for n in CLICKS},
+    )
+
+    assert len(found.head.mesh.vertices) > 200_000
+    off = errors_mm(found, foreign)
+    assert set(foreign.points) <= set(off)
+    assert np.mean(list(off.values())) < 1.5
+    assert max(off.values()) < 5.0
+
+
+def test_gums_of_both_jaws_in_one_shell_are_cut(
+    clicked: OwnHead, stranger: ForeignHead, people: tuple[Head, ...]
+) -> None:
+    """A bridge of skin between the two arches makes one shell of them; each can move alone."""
+    arches = [people[3].mesh.groups[f"teeth_{part}"] for part in ("upper", "lower")]
+    parts = [np.unique(people[3].mesh.triangles[rows]) for rows in arches]
+    seat = [people[3].mesh.vertices[rows] for rows in parts]
+    back = [p[np.argsort(p[:, 2])[:2]] for p in seat]
+    place = np.concatenate(back) @ stranger.turn.T / stranger.unit_mm + stranger.shift
+    rows = [int(np.argmin(np.linalg.norm(stranger.vertices - p, axis=1))) for p in place]
+    bridge = np.array([[rows[0], rows[1], rows[2]], [rows[1], rows[3], rows[2]]], np.int32)
+    mesh = as_mesh(stranger)
+    joined = replace(
+        mesh,
+        triangles=np.concatenate([mesh.triangles, bridge]),
+        label_of_triangle=np.zeros(len(mesh.triangles) + 2, np.int32),
+    )
+
+    found = own_head(joined, "bridged", {n: stranger.points[n] for n in CLICKS})
+
+    assert any("it is cut" in note for note in found.notes)
+    assert not any("it is cut" in note for note in clicked.notes)
+    upper, lower = (
+        set(found.head.part_vertices(f"teeth_{p}").tolist()) for p in ("upper", "lower")
+    )
+    assert upper and lower and not upper & lower
+
+
+def test_hair_and_hats_are_no_skin(stranger: ForeignHead) -> None:
+    """A cap over the skull with more triangles than the face, unnamed, is left aside as other."""
+    ball, sides = icosphere(5)
+    crown = stranger.points["11.4"]
+    n = len(stranger.vertices)
+    radius = 1.2 * np.linalg.norm(crown - stranger.points["11.1"])
+    cap = OwnMesh(
+        np.concatenate([stranger.vertices, crown + radius * ball]),
+        np.concatenate([stranger.triangles, sides + n]),
+        ("mesh",),
+        np.zeros(len(stranger.triangles) + len(sides), np.int32),
+    )
+
+    found = own_head(cap, "hat", {n: stranger.points[n] for n in CLICKS})
+
+    assert len(found.head.mesh.groups["other"]) == len(sides)
+    assert max(errors_mm(found, stranger).values()) < 5.0
 
 
 def test_inside_out_meshes_are_turned_over(clicked: OwnHead, stranger: ForeignHead) -> None:
@@ -189,6 +294,34 @@ def test_points_that_do_not_fit_are_refused(stranger: ForeignHead) -> None:
         own_head(mesh, "stranger", {f"my {n}": stranger.points[n] for n in CLICKS})
 
 
+def test_without_networks_it_is_said_which_points_to_give(
+    stranger: ForeignHead, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(own_start, "face_networks_path", lambda: None)
+
+    with pytest.raises(InputError, match=r"face networks must be installed.*--points"):
+        own_head(as_mesh(stranger), "stranger")
+
+
+@needs_networks
+def test_what_has_no_face_is_refused() -> None:
+    ball, sides = icosphere(3)
+
+    with pytest.raises(InputError, match=r"no face is seen on the mesh from any side; give 3 to 7"):
+        own_head(OwnMesh(ball, sides, ("ball",), np.zeros(len(sides), np.int32)), "ball")
+
+
+def test_a_face_that_ours_does_not_fit_is_said(stranger: ForeignHead, clicked: OwnHead) -> None:
+    """Points on a head stretched to twice its height: taken, and said to look at the chart."""
+    tall = np.diag([1.0, 1.0, 2.0])  # the stranger's z is up
+    mesh = replace(as_mesh(stranger), vertices=stranger.vertices @ tall)
+
+    found = own_head(mesh, "tall", {n: stranger.points[n] @ tall for n in CLICKS})
+
+    assert any("fits it badly" in note and "chart" in note for note in found.notes)
+    assert not any("fits it badly" in note for note in clicked.notes)
+
+
 def test_points_without_surface_near_them_are_left_out(average_head: Head) -> None:
     skin = average_head.mesh.triangles[average_head.mesh.groups["skin"]]
     surface = Surface(average_head.mesh.vertices, skin)
@@ -234,6 +367,7 @@ def test_a_mask_without_openings(real_data: Path) -> None:
     assert np.mean(list(off.values())) < 3.5
     assert found.unit_mm == 10.0
     assert not found.lips_part
+    assert not lips_part(found.head)
     assert any("no opening between the lips" in note for note in found.notes)
     assert not {"10.1", "11.6"} & set(found.head.feature_points.names)
     HeadDrive(found.head)  # can be driven
@@ -267,6 +401,36 @@ def test_a_head_of_another_origin_by_its_own_shapes(ict: OwnHead) -> None:
         smile = head.shaped({f"mouthSmile_{side}": 1.0}) - head.mesh.vertices
         furthest = np.linalg.norm(smile[head.part_vertices("skin")], axis=1).max()
         assert np.linalg.norm(went(f"mouthSmile_{side}", corner)) > 0.75 * furthest
+
+
+@needs_networks
+@pytest.mark.slow
+def test_a_head_of_another_origin_moves_by_faps(ict: OwnHead) -> None:
+    """Jaw and lower teeth go down, upper teeth stay, each eye turns about its own centre."""
+    head = ict.head
+    faps = {"open_jaw": 600.0, "raise_b_midlip": -500.0, "yaw_l_eyeball": 20000.0,
+            "yaw_r_eyeball": 0.0}  # fmt: skip
+    clip = Clip(np.zeros(1), tuple(faps), np.array([list(faps.values())]))
+
+    moved = HeadDrive(head).animate(clip).vertices(0)
+
+    went = moved - head.mesh.vertices
+    at = dict(zip(head.feature_points.names, head.feature_points.at(went), strict=True))
+    assert at["2.3"][1] < -4.0
+    assert abs(at["2.2"][1]) < 0.5
+    assert at["2.1"][1] < -4.0
+    assert went[head.part_vertices("teeth_lower"), 1].mean() < -2.0
+    assert np.abs(went[head.part_vertices("teeth_upper")]).max() < 1e-9
+    assert np.abs(went[head.part_vertices("eye_right")]).max() < 1e-9
+    rows, eye = head.part_vertices("eye_left"), head.eyes["left"]
+    before, after = head.mesh.vertices[rows] - eye.centre, moved[rows] - eye.centre
+    np.testing.assert_allclose(
+        np.linalg.norm(after, axis=1), np.linalg.norm(before, axis=1), atol=1e-9
+    )
+    np.testing.assert_allclose(after[:, 1], before[:, 1], atol=1e-9)
+    turned = np.arctan2(after[:, 0], after[:, 2]) - np.arctan2(before[:, 0], before[:, 2])
+    front = before[:, 2] > 0.5 * eye.radius
+    np.testing.assert_allclose(turned[front], 20000.0 * 1e-5, atol=1e-9)
 
 
 @needs_networks

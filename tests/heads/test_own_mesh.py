@@ -14,7 +14,8 @@ from facewright.core.errors import FacewrightError
 from facewright.core.formats.gltf import GltfPart, GltfScene, MorphTarget, glb_bytes
 from facewright.core.formats.ply import PlyMesh, write_ply
 from facewright.core.mesh import Mesh, vertex_normals
-from facewright.heads.own_mesh import OwnMesh, read_own_mesh, shells
+from facewright.heads.own_files import read_own_mesh
+from facewright.heads.own_mesh import OwnMesh, shells
 from facewright.heads.subdivision import icosphere
 
 
@@ -103,6 +104,43 @@ def test_unknown_extensions_are_said_and_needed_ones_refused(tmp_path: Path) -> 
     assert any("ACME_fur" in note and "VRMC" not in note for note in said)
     with pytest.raises(FacewrightError, match="Draco"):
         read_own_mesh(path)
+
+
+def test_shape_names_are_kept_as_they_are_written(tmp_path: Path) -> None:
+    """In another case, another language, with dots and spaces."""
+    v, t = icosphere(2)
+    names = ("JAWOPEN", "Fcl_EYE_Close_L", "まばたき", "mouth smile.left", "jawOpen")
+    rows = np.arange(4, dtype=np.int32)
+    targets = tuple(
+        MorphTarget(name, rows, np.full((4, 3), float(i + 1))) for i, name in enumerate(names)
+    )
+    part = GltfPart("m", v, t, v, targets=targets)
+    (tmp_path / "m.glb").write_bytes(glb_bytes(GltfScene("m", (part,), np.zeros(0))))
+
+    found = read_own_mesh(tmp_path / "m.glb")
+
+    assert found.shape_names == names
+    assert found.shapes is not None
+    for i, shape in enumerate(found.shapes):
+        np.testing.assert_allclose(shape.max(), i + 1, rtol=1e-6)
+
+
+def test_numbers_that_are_none_are_refused_in_every_format(tmp_path: Path) -> None:
+    v, t = icosphere(1)
+    data = bytearray(glb_bytes(GltfScene("b", (GltfPart("b", v, t, v),), np.zeros(0))))
+    first = np.float32(v[0, 0] / 1000.0).tobytes()  # metres
+    at = data.find(first, data.find(b"BIN"))
+    data[at : at + 4] = np.float32(np.nan).tobytes()
+    (tmp_path / "nan.glb").write_bytes(data)
+    header = "ply\nformat ascii 1.0\nelement vertex 3\n" + "".join(
+        f"property float {axis}\n" for axis in "xyz"
+    )
+    header += "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "nan.ply").write_text(header + "0 0 nan\n1 0 0\n0 1 0\n3 0 1 2\n")
+
+    for name in ("nan.glb", "nan.ply"):
+        with pytest.raises(FacewrightError, match="finite"):
+            read_own_mesh(tmp_path / name)
 
 
 def test_not_finite_not_a_mesh_not_a_head_file(tmp_path: Path) -> None:

@@ -63,6 +63,22 @@ def test_shells_without_names_are_told_apart_on_thirty_people(people: tuple[Head
             assert set(found[part].tolist()) == set(mesh.groups[part].tolist()), (head.name, part)
 
 
+def test_a_high_tongue_is_no_lining_of_the_mouth(people: tuple[Head, ...]) -> None:
+    """Where the mouth is expected in the middle of the tongue's height."""
+    for head in people:
+        exact = expected_of(head)
+        tongue = head.mesh.vertices[head.part_vertices("tongue"), 1]
+        mouth = exact.mouth.copy()
+        mouth[1] = (tongue.min() + tongue.max()) / 2
+        expected = Landmarks(exact.eyes, mouth, exact.corners, exact.face)
+        none = np.zeros(len(head.mesh.triangles), np.int32)
+
+        found = sort_shells(head.mesh.vertices, head.mesh.triangles, ("",), none, expected)
+
+        wanted = head.mesh.groups["tongue"].tolist()
+        assert set(found["tongue"].tolist()) == set(wanted), head.name
+
+
 def test_the_ball_of_an_eye_is_found_though_the_cornea_bulges(average_head: Head) -> None:
     mesh = average_head.mesh
 

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 from facewright.core.errors import InputError
 from facewright.heads.face_model import face_model
 from facewright.heads.head import Head
+from facewright.heads.similarity import Similarity
+from facewright.heads.skin_surface import Surface
 from facewright.heads.template import load_template, template_feature_points
 from facewright.heads.template_warp import (
     LaidTemplate,
-    Similarity,
-    Surface,
     known_points,
     lay_template,
 )

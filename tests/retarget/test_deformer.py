@@ -211,6 +211,51 @@ def test_a_head_is_ready_within_three_seconds(head: Head) -> None:
     assert time.process_time() - start < 3.0
 
 
+def quartered(
+    vertices: NDArray[np.float64], triangles: NDArray[np.int32]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The surface with four triangles for each."""
+    a, b, c = triangles.T
+    sides = np.sort(np.stack([[a, b], [b, c], [c, a]]).transpose(0, 2, 1).reshape(-1, 2), axis=1)
+    edges, which = np.unique(sides, axis=0, return_inverse=True)
+    ab, bc, ca = len(vertices) + which.reshape(3, -1)
+    four = [np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
+    middles = vertices[edges].mean(axis=1)
+    return np.concatenate([vertices, middles]), np.concatenate(four).astype(np.int32)
+
+
+def test_a_head_of_seventy_thousand_vertices_takes_seconds(head: Head) -> None:
+    """Its factors once filled up, and took minutes."""
+    points, skin = skin_points(head)
+    vertices, triangles = quartered(head.mesh.vertices, skin)
+    nearest = points.corners[np.arange(len(points)), points.barycentric.argmax(axis=1)]
+    used, first = np.unique(triangles, return_index=True)
+    at = first[np.searchsorted(used, nearest)]
+    fine = SurfacePoints(points.names, triangles[at // 3], np.eye(3)[at % 3])
+    constraints = dict.fromkeys(fine.names, EVERY_AXIS)
+    start = time.process_time()
+    d = FeaturePointDeformer(vertices, triangles, fine, constraints, fade=True, smoothing=0.5)
+    assert time.process_time() - start < 12.0
+    assert d.n_vertices > 70000
+
+
+def test_an_array_that_is_handed_in_is_filled(head: Head) -> None:
+    points, triangles = skin_points(head)
+    alike = dict.fromkeys(points.names, EVERY_AXIS)
+    for constraints in (alike, {**alike, points.names[0]: (True, False, True)}):
+        d = FeaturePointDeformer(head.mesh.vertices, triangles, points, constraints)
+        moves = np.random.default_rng(7).normal(size=(2, len(points), 3))
+        out = np.full((2, d.n_vertices, 3), np.nan)
+
+        assert d.displace(moves, out=out) is out
+
+        np.testing.assert_array_equal(out, d.displace(moves))
+        with pytest.raises(ValueError, match=r"out must be contiguous float64 of shape"):
+            d.displace(moves[0], out=out)
+        with pytest.raises(ValueError, match="out must be"):
+            d.displace(moves, out=out.astype(np.float32))
+
+
 def test_wrong_calls_are_told() -> None:
     vertices, triangles, points = three_points()
     with pytest.raises(InputError, match=r"no points 9\.9"):

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +38,29 @@ def test_the_video_has_the_animations_length_and_moves(
     assert n == len(pictures) == 5
     difference = np.abs(pictures[0].astype(int) - pictures[-1]).mean()
     assert difference > 1
+
+
+def test_the_last_pose_is_held_for_sound_that_goes_on(
+    tmp_path: Path, head: Head, drive: HeadDrive
+) -> None:
+    t = np.linspace(0, 0.25, 12)
+    animation = drive.animate(Clip(t, ("head_yaw",), 60000 * t[:, None]))
+    pictures: list[NDArray[np.uint8]] = []
+
+    n = write_head_video(
+        tmp_path / "head.mp4", head, animation, size=(96, 96), rate_hz=10, hold_s=0.3,
+        on_frame=lambda _, picture: pictures.append(picture),
+    )  # fmt: skip
+
+    assert n == 6
+    moved = [np.abs(b.astype(int) - a).mean() for a, b in pairwise(pictures)]
+    assert min(moved[:3]) > 0.5 and max(moved[3:]) == 0
+    # what is held is the end, not the last frame before it
+    end = write_head_video(
+        tmp_path / "end.mp4", head, animation.resampled([0.25]), size=(96, 96), rate_hz=10,
+        on_frame=lambda _, picture: pictures.append(picture),
+    )  # fmt: skip
+    assert end == 1 and (pictures[-1] == pictures[3]).all()
 
 
 def test_another_heads_animation_is_refused(tmp_path: Path, head: Head, drive: HeadDrive) -> None:

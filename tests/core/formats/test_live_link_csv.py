@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import csv
+import math
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -157,3 +159,28 @@ def test_the_shapes_are_arkits(repository: Path) -> None:
         pytest.skip(f"the table of shapes is not on this machine (expected at {table})")
     with open(table, newline="", encoding="utf-8") as stream:
         assert {row["name"] for row in csv.DictReader(stream)} == set(ARKIT_SHAPES)
+
+
+@pytest.mark.parametrize(
+    "rate", [Fraction(n) for n in (24, 25, 50, 120)] + [Fraction(n, 1001) for n in (30000, 60000)]
+)
+def test_evenly_counted_frames_tell_the_rate_at_the_first_whole_second(
+    tmp_path: Path, rate: Fraction
+) -> None:
+    times = np.arange(math.floor(1.3 * rate)) / float(rate)
+    clip = Clip(times, ("jawOpen",), np.zeros((len(times), 1)))
+    write_live_link_csv(tmp_path / "take.csv", clip, rate=rate)
+
+    found = read_live_link_csv(tmp_path / "take.csv")
+
+    np.testing.assert_allclose(found.time_s, times, atol=1e-4)
+
+
+def test_frames_that_were_dropped_tell_nothing_of_the_rate(tmp_path: Path) -> None:
+    path = written(
+        tmp_path,
+        "Timecode,JawOpen\n"
+        "00:00:00:20.0,0\n00:00:00:21.0,0\n00:00:00:22.0,0\n00:00:00:24.0,0\n00:00:01:00.0,0\n",
+    )
+    expected = [0, 1 / 60, 2 / 60, 4 / 60, 40 / 60]
+    assert read_live_link_csv(path).time_s.tolist() == pytest.approx(expected)

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from facewright.retarget import bounded_paths
-from facewright.retarget.bounded_paths import second_differences, solve_paths
+from facewright.heads import bounded_paths
+from facewright.heads.bounded_paths import second_differences, solve_paths
 
 Floats = NDArray[np.float64]
 
