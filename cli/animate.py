@@ -10,17 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..core.errors import InputError
+from .animate_plain import PlainOptions
 from .faps import facts_of, run_faps
 from .heads import check_head, find_head
 from .options import (
     HeadOption,
     JsonOption,
     MarkersOption,
-    NeutralOption,
     find_marker_set,
     find_rig,
     note,
     parse_when,
+    writable_file,
     writable_folder,
 )
 from .progress import Ticks
@@ -59,7 +60,42 @@ def animate(
     ],
     rig: RigOption = None,
     markers: MarkersOption = None,
-    neutral: NeutralOption = "0",
+    markerless: Annotated[
+        bool,
+        typer.Option(
+            "--markerless", help="An ordinary video of a face. Default: where there is no set."
+        ),
+    ] = False,
+    neutral: Annotated[
+        str | None,
+        typer.Option(
+            "--neutral",
+            metavar="WHEN",
+            help="The neutral face: a frame number, or seconds with an s; without markers also a "
+            "file of --save-neutral. Default: frame 0; without markers it is found.",
+        ),
+    ] = None,
+    save_neutral: Annotated[
+        Path | None,
+        typer.Option(
+            "--save-neutral", metavar="FILE.npz", help="Without markers: keep the person's face."
+        ),
+    ] = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(
+            "--points",
+            metavar="CSV",
+            help="Without markers: points marked in one frame (columns frame,name,x,y), where the "
+            "face networks are missing or see nothing.",
+        ),
+    ] = None,
+    face: Annotated[
+        int,
+        typer.Option(
+            "--face", min=0, help="Without markers, of several faces: which; 0 is the largest."
+        ),
+    ] = 0,
     colour: ColourOption = None,
     level: LevelOption = None,
     rate: RateOption = None,
@@ -72,32 +108,79 @@ def animate(
     ] = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Marker videos of a calibrated camera rig to a head that moves.
+    """Videos of a performance, with markers or without, to a head that moves.
 
-    Writes markers.c3d, performance.fap, head.glb, preview.mp4 and report.html.
+    With markers the cameras must be calibrated; without, one ordinary video is enough. Writes
+    performance.fap, head.glb, preview.mp4 and report.html; markers.c3d or arkit.csv besides.
     """
     from ..tracking.long_takes import LongSettings
 
     check_head(head)  # a wrong name is said before the work
-    marker_set = find_marker_set(markers, videos[0].parent)
+    marker_set = None if markerless else find_marker_set(markers, videos[0].parent)
+    if markerless and markers is not None:
+        raise typer.BadParameter("--markers and --markerless exclude each other")
+    default = videos[0].parent / "animation"
     if marker_set is None:
-        raise InputError(
-            f"a marker set must tell which dot is what: give one with --markers, or put "
-            f"markers.toml into {videos[0].parent}"
-        )
+        if not markerless:
+            note(f"no marker set given or beside {videos[0]}: taken as a face without markers")
+        how = PlainOptions(head, neutral, face, save_neutral, points)
+        _without_markers(videos, rig, out or default, how, json_file)
+        return
     cameras = find_rig(rig, videos)
-    folder = writable_folder(out or videos[0].parent / "animation")
+    folder = writable_folder(out or default)
+    neutral = "0" if neutral is None else neutral
     frame, seconds = parse_when(neutral)
     settings = LongSettings(
         level=level, colour=colour, rate_hz=rate, refine_rig=refine_rig, max_gap_s=max_gap,
         neutral_frame=frame, neutral_s=seconds,
     )  # fmt: skip
     result = run_animate(videos, cameras, marker_set, folder, settings, head=head, neutral=neutral)
-    rows = [(k.replace("_", " "), v) for k, v in result.facts.items() if not isinstance(v, list)]
-    print_table(("measured", "value"), [r for r in rows if not isinstance(r[1], dict)])
+    _print_facts(result.facts)
     note(f"wrote {folder}/ markers.c3d performance.fap head.glb preview.mp4 report.html")
     if json_file is not None:
         write_json(json_file, result.facts)
+
+
+def _without_markers(
+    videos: Sequence[Path],
+    rig_file: Path | None,
+    folder: Path,
+    how: PlainOptions,
+    json_file: Path | None,
+) -> None:
+    from ..tracking.videos import match_videos_to_rig
+    from .animate_plain import run_plain
+
+    cameras = _cameras(videos, rig_file)
+    if cameras is not None:
+        cameras, paths = match_videos_to_rig(videos, cameras, at_least=1)
+        videos = list(paths.values())
+    if how.save_neutral is not None:
+        writable_file(how.save_neutral, (".npz",))
+    result = run_plain(videos, cameras, writable_folder(folder), how)
+    _print_facts(result.facts)
+    note(f"wrote {folder}/ performance.fap arkit.csv head.glb preview.mp4 report.html")
+    if json_file is not None:
+        write_json(json_file, result.facts)
+
+
+def _cameras(videos: Sequence[Path], rig_file: Path | None) -> Rig | None:
+    """The cameras given, or beside the videos; None for one video of a camera that is not known."""
+    beside = videos[0].parent / "rig.json"
+    if rig_file is None and not beside.exists():
+        if len(videos) > 1:
+            raise InputError(f"{len(videos)} videos need a camera rig: give --rig, or put {beside}")
+        return None
+    found = find_rig(rig_file, videos)
+    if rig_file is None and len(videos) == 1 and videos[0].stem not in found.cameras:
+        note(f"{beside} has no camera {videos[0].stem}: the focal length is estimated")
+        return None
+    return found
+
+
+def _print_facts(facts: dict[str, Any]) -> None:
+    rows = [(k.replace("_", " "), v) for k, v in facts.items() if not isinstance(v, list | dict)]
+    print_table(("measured", "value"), rows)
 
 
 def run_animate(
@@ -119,7 +202,7 @@ def run_animate(
     from ..retarget.drive import HeadDrive
     from ..retarget.export import animation_glb
     from ..tracking.videos import match_videos_to_rig
-    from .preview import choose_view, write_previews
+    from .preview import choose_view, preview_step, source_panels, write_previews
     from .report import write_report
 
     tracked = run_track(videos, rig, folder / "markers.c3d", marker_set, settings)
@@ -141,14 +224,15 @@ def run_animate(
     forward = performance.neutral.rotation[:, 2]
     view = choose_view(rig, paths, tracks, forward)
     n_preview = len(tracks.time_s)
-    step = max(1, round((tracks.rate_hz or 60.0) / 30.0))
+    rate_hz = tracks.rate_hz or 60.0
+    step = preview_step(rate_hz)
     with tempfile.TemporaryDirectory() as scratch:
         source = Path(scratch) / "source.mp4"
         start = time.perf_counter()
         with Ticks(-(-n_preview // step), "preview") as tick:
             n = write_previews(
-                folder / "preview.mp4", source, view, tracks, animation, head,
-                on_frame=tick,
+                folder / "preview.mp4", source, source_panels(view, tracks, step),
+                rate_hz / step, animation, head, on_frame=tick,
             )  # fmt: skip
         facts["preview_frames_per_second"] = n / (time.perf_counter() - start)
         write_report(folder, source, head, performance, facts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.audio import SoundTrack
 from ..core.camera import Camera
 from ..core.rig import Rig
 from ..core.rigid import Rigid
@@ -25,7 +26,7 @@ PANEL = (480, 540)  # width, height
 MAX_RATE_HZ = 30.0
 _MARGIN = 1.35  # of the markers' box: the head is larger than its markers
 _TRAIL_S = 0.2
-_CAPTION = 26  # px at the lower edge
+CAPTION = 26  # px at the lower edge
 #: Colours of markers by the beginning of their label, RGB.
 _COLOURS = {
     "lip": (255, 112, 96),
@@ -89,7 +90,7 @@ def choose_view(
     pixels = rig[name].project(points)
     pixels = pixels[np.isfinite(pixels).all(axis=1)]
     low, high = np.percentile(pixels, [0.5, 99.5], axis=0)
-    width, height = PANEL[0], PANEL[1] - _CAPTION
+    width, height = PANEL[0], PANEL[1] - CAPTION
     span = max(float((high - low)[1]), float((high - low)[0]) * height / width) * _MARGIN
     size = (span * width / height, span)
     x, y = (low + high) / 2 - np.array(size) / 2
@@ -114,7 +115,7 @@ def source_panels(
     A = _affine(view)
     pixels = view.camera.project(tracks.positions) @ A[:, :2].T + A[:, 2]
     trail = max(1, round(_TRAIL_S * (tracks.rate_hz or 60.0)))
-    size = (PANEL[0], PANEL[1] - _CAPTION)
+    size = (PANEL[0], PANEL[1] - CAPTION)
     with closing(read_frames(view.video)) as frames:
         for frame in frames:
             if frame.index % step:
@@ -125,8 +126,8 @@ def source_panels(
             _draw_tracks(tracked, pixels[: frame.index + 1], tracks, frame.index, trail)
             yield (
                 frame.index,
-                _captioned(source, f"{view.name}  {frame.time_s:6.3f} s"),
-                _captioned(tracked, f"{len(tracks.names)} markers tracked"),
+                captioned(source, f"{view.name}  {frame.time_s:6.3f} s"),
+                captioned(tracked, f"{len(tracks.names)} markers tracked"),
             )
 
 
@@ -150,7 +151,8 @@ def _draw_tracks(
             cv2.circle(panel, at, 4 * 16, colour, thick, cv2.LINE_AA, 4)
 
 
-def _captioned(panel: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
+def captioned(panel: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
+    """A panel with a line of text below."""
     found = np.full((PANEL[1], PANEL[0], 3), 18, np.uint8)
     found[: panel.shape[0]] = panel
     cv2.putText(
@@ -160,14 +162,20 @@ def _captioned(panel: NDArray[np.uint8], text: str) -> NDArray[np.uint8]:
     return found
 
 
+def preview_step(rate_hz: float) -> int:
+    """Every how many frames one is shown, so that a second has at most `MAX_RATE_HZ`."""
+    return max(1, round(rate_hz / MAX_RATE_HZ))
+
+
 def write_previews(
     preview: Path,
     source_only: Path,
-    view: SourceView,
-    tracks: Trajectories,
+    panels: Iterable[tuple[int, NDArray[np.uint8], NDArray[np.uint8]]],
+    rate_hz: float,
     animation: HeadAnimation,
     head_name: str,
     *,
+    audio: SoundTrack | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> int:
     """Write the side-by-side preview, and for the page the first two panels alone.
@@ -178,9 +186,14 @@ def write_previews(
         Source, tracks, animated head.
     source_only : Path
         Source and tracks, with a key frame four times a second for scrubbing.
-    view, tracks, animation : what is shown
-        The animation's times are the tracks'.
+    panels : iterable of (frame, source, tracks)
+        Pictures of the size `PANEL`, and which of the animation's frames they show.
+    rate_hz : float
+        How many panels come a second.
+    animation : HeadAnimation
     head_name : str
+    audio : SoundTrack, optional
+        Heard in both.
     on_frame : callable, optional
 
     Returns
@@ -188,22 +201,20 @@ def write_previews(
     int
         Frames written.
     """
-    rate = tracks.rate_hz or 60.0
-    step = max(1, round(rate / MAX_RATE_HZ))
     width, height = PANEL
     renderer = HeadRenderer(animation.head, quick=True)
-    camera = portrait_camera(animation.head, (width, height - _CAPTION))
+    camera = portrait_camera(animation.head, (width, height - CAPTION))
     count = 0
     with ExitStack() as stack:
-        whole = stack.enter_context(VideoWriter(preview, (3 * width, height), rate / step))
+        whole = stack.enter_context(VideoWriter(preview, (3 * width, height), rate_hz, audio=audio))
         left = stack.enter_context(
-            VideoWriter(source_only, (2 * width, height), rate / step, crf=21, gop=8)
+            VideoWriter(source_only, (2 * width, height), rate_hz, crf=21, gop=8, audio=audio)
         )
-        for frame, source, tracked in source_panels(view, tracks, step):
+        for frame, source, tracked in panels:
             motion = animation.motion
             pose = Rigid(motion.quaternion[frame], motion.translation[frame])
             picture = renderer.render(animation.vertices(frame), camera, pose)
-            head = _captioned(picture, f"{head_name}, driven by FAPs")
+            head = captioned(picture, f"{head_name}, driven by FAPs")
             whole.write(np.concatenate([source, tracked, head], axis=1))
             left.write(np.concatenate([source, tracked], axis=1))
             count += 1

@@ -52,11 +52,15 @@ class PerformanceSettings:
 
 @dataclass(frozen=True)
 class ActorSettings:
-    """Who acts: a built-in head's name, or "" for a random person; years only for the latter."""
+    """Who acts: a built-in head's name, or "" for a random person; years only for the latter.
+
+    `strangeness` 1 makes a face and expressions that no identity has (`strangeness`).
+    """
 
     head: str = ""
     youngest_years: float = 20.0
     oldest_years: float = 70.0
+    strangeness: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -190,6 +194,7 @@ _RANGES: dict[str, tuple[float, float]] = {
     "seconds": (0.5, 7200.0),
     "actor.youngest_years": (6, 85),
     "actor.oldest_years": (6, 85),
+    "actor.strangeness": (0.0, 2.0),
     "markers.radius_mm": (0.5, 5.0),
     "cameras.count": (1, MAX_CAMERAS),
     "cameras.rate_hz": (5.0, 240.0),

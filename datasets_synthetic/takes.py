@@ -26,6 +26,7 @@ from .optics import Optics, Sensor
 from .performances import NEUTRAL_S
 from .rigs import face_rig
 from .scenes import SCENE_S, Scenes
+from .strangeness import strange_head
 from .take_settings import TakeSettings
 from .take_sound import Clap
 from .wand import Wand
@@ -242,9 +243,12 @@ def _cast(seed: int, settings: TakeSettings) -> tuple[Head, str]:
         years = (settings.actor.youngest_years, settings.actor.oldest_years)
         rng = np.random.default_rng([seed, 1])
         identity = random_identity(rng, f"actor-{seed}", age_years=years)
+    # drawn by a seed of its own: everything else of the take stays
+    strange = np.random.default_rng([seed, 11])
+    head = strange_head(make_head(identity), strange, settings.actor.strangeness)
     if identity.age_years < _CHILD_YEARS:
-        return make_head(identity), "child"
-    return make_head(identity), "woman" if identity.female > 0.5 else "man"
+        return head, "child"
+    return head, "woman" if identity.female > 0.5 else "man"
 
 
 def _glued(head: Head, marker_set: MarkerSet, settings: TakeSettings) -> GluedMarkers:

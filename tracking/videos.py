@@ -60,7 +60,9 @@ class TrackedVideos:
     notes: tuple[str, ...] = ()
 
 
-def match_videos_to_rig(videos: Sequence[Path], rig: Rig) -> tuple[Rig, dict[str, Path]]:
+def match_videos_to_rig(
+    videos: Sequence[Path], rig: Rig, *, at_least: int = 2
+) -> tuple[Rig, dict[str, Path]]:
     """Which video belongs to which camera: by file name (``cam0.mp4`` is camera ``cam0``).
 
     Returns the rig of the cameras that have a video, and the video of each.
@@ -68,7 +70,7 @@ def match_videos_to_rig(videos: Sequence[Path], rig: Rig) -> tuple[Rig, dict[str
     Raises
     ------
     InputError
-        If a video has no camera, two are of one camera, or fewer than two are given.
+        If a video has no camera, two are of one camera, or fewer than `at_least` are given.
     FileFormatError
         If a video's picture size is not its camera's.
     """
@@ -82,8 +84,8 @@ def match_videos_to_rig(videos: Sequence[Path], rig: Rig) -> tuple[Rig, dict[str
         if path.stem in chosen:
             raise InputError(f"{path} and {chosen[path.stem]} are both of camera {path.stem}")
         chosen[path.stem] = path
-    if len(chosen) < 2:
-        raise InputError(f"tracking in space needs at least two videos, got {len(chosen)}")
+    if len(chosen) < at_least:
+        raise InputError(f"tracking in space needs at least {at_least} videos, got {len(chosen)}")
     names = [n for n in rig if n in chosen]
     for name in names:
         _check_size(chosen[name], probe_video(chosen[name]), rig[name].image_size)

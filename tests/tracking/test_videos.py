@@ -171,7 +171,7 @@ def test_two_videos_of_one_camera_are_refused(
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_fewer_than_two_videos_are_refused(rig: Rig, takes: list[Path], count: int) -> None:
-    with pytest.raises(InputError, match=f"at least two videos, got {count}"):
+    with pytest.raises(InputError, match=f"at least 2 videos, got {count}"):
         track_videos(takes[:count], rig)
 
 
