@@ -16,7 +16,7 @@ from facewright.core.rig import Rig
 from facewright.core.rigid import Rigid
 from facewright.heads.identity import make_head, random_identity
 from facewright.heads.place_face_landmarks import template_face_landmarks
-from facewright.tracking.face_analysis import DEAD, analyse_face
+from facewright.tracking.face_analysis import DEAD, FacePerformance, analyse_face
 from facewright.tracking.face_fit import FittedFace
 from facewright.tracking.face_pose import FaceSolver, with_own_offsets
 from facewright.tracking.face_views import start_state, views_of
@@ -102,27 +102,32 @@ def acted(model: LandmarkModel) -> Acted:
     return act(model)
 
 
+@pytest.fixture(scope="module")
+def seen_once(model: LandmarkModel, acted: Acted) -> FacePerformance:
+    """By one known camera, without noise."""
+    return analyse_face(seen_by(acted, model, camera()), camera=camera(), neutral=0.1, model=model)
+
+
 def fap_error_mm(faps: dict[str, Floats], acted: Acted, name: str, unit: float) -> float:
     return float(np.sqrt(((faps[name] - acted.faps[name]) ** 2).mean()) * unit)
 
 
-def test_one_camera_finds_what_the_face_did(model: LandmarkModel, acted: Acted) -> None:
-    found = analyse_face(seen_by(acted, model, camera()), camera=camera(), neutral=0.1, model=model)
-
-    assert rotation_errors_deg(found.head_motion.rotation, acted).max() < 1.0
+def test_one_camera_finds_what_the_face_did(seen_once: FacePerformance, acted: Acted) -> None:
+    assert rotation_errors_deg(seen_once.head_motion.rotation, acted).max() < 1.0
     for name in ("open_jaw", "raise_b_midlip", "close_t_l_eyelid", "raise_r_m_eyebrow"):
-        r = np.corrcoef(found.faps[name], acted.faps[name])[0, 1]
+        r = np.corrcoef(seen_once.faps[name], acted.faps[name])[0, 1]
         assert r > 0.9, f"{name}: correlation {r:.3f}"
 
 
-def test_faps_are_nothing_while_the_face_is_neutral(model: LandmarkModel, acted: Acted) -> None:
-    found = analyse_face(seen_by(acted, model, camera()), camera=camera(), neutral=0.1, model=model)
+def test_faps_are_nothing_while_the_face_is_neutral(
+    seen_once: FacePerformance, acted: Acted
+) -> None:
+    still = seen_once.faps.values[:8]
+    assert np.abs(still).max() < 0.1 * np.abs(seen_once.faps.values).max()
+    assert np.nanmax(seen_once.weights.values[:8]) < 0.05
 
-    still = found.faps.values[:8]
-    assert np.abs(still).max() < 0.1 * np.abs(found.faps.values).max()
-    assert np.nanmax(found.weights.values[:8]) < 0.05
 
-
+@pytest.mark.slow
 def test_a_second_camera_measures_depth(model: LandmarkModel, acted: Acted) -> None:
     cameras = {"a": camera(-20.0), "b": camera(25.0)}
     tracks = [seen_by(acted, model, c, 0.2) for c in cameras.values()]
@@ -137,6 +142,7 @@ def test_a_second_camera_measures_depth(model: LandmarkModel, acted: Acted) -> N
     assert off[1] < off[0]
 
 
+@pytest.mark.slow
 def test_two_cameras_measure_the_size_of_the_head(model: LandmarkModel, acted: Acted) -> None:
     cameras = {"a": camera(-20.0), "b": camera(25.0)}
     tracks = [seen_by(acted, model, c) for c in cameras.values()]
@@ -147,6 +153,7 @@ def test_two_cameras_measure_the_size_of_the_head(model: LandmarkModel, acted: A
     assert spread[0] == pytest.approx(spread[1], rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_face_that_is_moved_and_turned_as_a_whole_does_the_same(model: LandmarkModel) -> None:
     acted = act(model, seed=4, n_frames=30)
     there = Rigid.from_rotation(Rotation.from_rotvec([0, 0, 0.3]).as_matrix(), (15, 10, -40))
@@ -216,18 +223,14 @@ def test_nothing_is_carried_over_a_cut(model: LandmarkModel, acted: Acted) -> No
     )
 
 
-def test_dead_channels_are_named_and_absent(model: LandmarkModel, acted: Acted) -> None:
-    found = analyse_face(seen_by(acted, model, camera()), camera=camera(), neutral=0.1, model=model)
-
-    assert "tongue_roll" in found.dead
-    assert not set(DEAD) & set(found.faps.channels)
+def test_dead_channels_are_named_and_absent(seen_once: FacePerformance, acted: Acted) -> None:
+    assert "tongue_roll" in seen_once.dead
+    assert not set(DEAD) & set(seen_once.faps.channels)
 
 
-def test_weights_keep_their_bounds(model: LandmarkModel, acted: Acted) -> None:
-    found = analyse_face(seen_by(acted, model, camera()), camera=camera(), neutral=0.1, model=model)
-
-    assert found.weights.values.min() >= 0
-    assert found.weights.values.max() <= 1
+def test_weights_keep_their_bounds(seen_once: FacePerformance, acted: Acted) -> None:
+    assert seen_once.weights.values.min() >= 0
+    assert seen_once.weights.values.max() <= 1
 
 
 def test_tracks_and_cameras_that_do_not_fit_are_named(model: LandmarkModel, acted: Acted) -> None:
@@ -264,6 +267,7 @@ def test_a_personal_neutral_face_is_used_again(model: LandmarkModel, acted: Acte
     assert not len(again.neutral_frames)
 
 
+@pytest.mark.slow
 def test_units_of_the_fitted_head_are_near_the_persons(model: LandmarkModel, acted: Acted) -> None:
     cameras = {"a": camera(-20.0), "b": camera(25.0)}
     tracks = [seen_by(acted, model, c) for c in cameras.values()]
