@@ -69,7 +69,7 @@ def run_plain(
     from ..tracking.face_analysis import analyse_face
     from ..tracking.neutral_personal import write_neutral
 
-    each = _tracks(videos, how)
+    videos, rig, each = _frontal_first(videos, rig, _tracks(videos, how))
     first = each[0]
     note("analysing the face")
     performance = analyse_face(each, rig=rig, neutral=_neutral(how.neutral, first))
@@ -108,6 +108,33 @@ def _tracks(videos: Sequence[Path], how: PlainOptions) -> tuple[LandmarkTracks, 
             note(line)
         found.append(tracks)
     return tuple(found)
+
+
+def _frontal_first(
+    videos: Sequence[Path], rig: Rig | None, each: Sequence[LandmarkTracks]
+) -> tuple[list[Path], Rig | None, list[LandmarkTracks]]:
+    """The camera that sees the face most from the front leads and is shown."""
+    from ..core.rig import Rig
+
+    turned = [_turned(t) for t in each]
+    order = sorted(range(len(each)), key=lambda i: turned[i])
+    if rig is not None:
+        names = list(rig)
+        rig = Rig({names[i]: rig[names[i]] for i in order})
+    return [videos[i] for i in order], rig, [each[i] for i in order]
+
+
+def _turned(tracks: LandmarkTracks) -> float:
+    """How far the nose's tip lies aside of the middle between the eyes, in the eyes' distance."""
+    import numpy as np
+
+    from ..heads.face_landmarks import NAMED_LANDMARKS
+
+    names = ("eye_right_outer", "eye_left_outer", "nose_tip")
+    right, left, tip = (tracks.points_px[:, NAMED_LANDMARKS[n]] for n in names)
+    across = left - right
+    aside = ((tip - (left + right) / 2) * across).sum(axis=1) / (across**2).sum(axis=1)
+    return float(np.median(np.nan_to_num(np.abs(aside), nan=np.inf)))
 
 
 def _neutral(given: str | None, tracks: LandmarkTracks) -> FittedFace | float | None:

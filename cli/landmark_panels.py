@@ -76,10 +76,13 @@ def _affine(tracks: LandmarkTracks) -> NDArray[np.float64]:
 def _draw_face(panel: NDArray[np.uint8], points: NDArray[np.float64]) -> None:
     for name, rows in CONTOURS.items():
         path = points[list(rows)]
-        if not np.isfinite(path).all():
-            continue
         colour = marker_colour(name)
-        ends = np.rint(path * 16).astype(np.int32)
+        is_there = np.isfinite(path).all(axis=1)
+        ends = np.rint(path[is_there] * 16).astype(np.int32)
+        if not is_there.all():  # points that were marked by hand, say
+            for x, y in ends.tolist():
+                cv2.circle(panel, (x, y), 3 * 16, colour, -1, cv2.LINE_AA, 4)
+            continue
         cv2.polylines(panel, [ends], name in CLOSED_CONTOURS, colour, 1, cv2.LINE_AA, 4)
     for middle, rim in _IRISES:
         if np.isfinite(points[[middle, rim]]).all():

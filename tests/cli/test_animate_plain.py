@@ -14,14 +14,20 @@ from skimage import data
 from typer.testing import CliRunner
 
 from facewright.cli.animate import animate
+from facewright.cli.animate_plain import _frontal_first
+from facewright.cli.landmark_panels import _draw_face
 from facewright.cli.main import build_app
+from facewright.core.camera import Camera
 from facewright.core.formats.fap import read_fap
 from facewright.core.formats.gltf import read_glb
 from facewright.core.formats.live_link_csv import read_live_link_csv
 from facewright.core.mpeg4 import ANGLE_UNIT_RAD
+from facewright.core.rig import Rig
+from facewright.core.rigid import Rigid
 from facewright.core.video import probe_video
 from facewright.core.video_writer import VideoWriter
 from facewright.heads.face_network import face_networks_path
+from facewright.tracking.landmark_tracks import LandmarkTracks
 
 APP = build_app({"animate": animate, "other": animate})
 SIZE = (480, 360)
@@ -152,6 +158,36 @@ def test_a_video_without_a_face_is_refused(tmp_path: Path) -> None:
 
     assert code == 1
     assert "no face was found in 5 frames" in told.splitlines()[-1]
+
+
+def test_the_camera_that_sees_the_face_from_the_front_leads() -> None:
+    def seen(nose_x: float) -> LandmarkTracks:
+        px = np.full((2, 478, 2), np.nan)
+        px[:, 33], px[:, 263], px[:, 1] = (100.0, 50.0), (200.0, 50.0), (nose_x, 100.0 + 0 * nose_x)
+        sd = np.where(np.isnan(px[..., 0]), np.nan, 0.1)
+        one = np.ones(2, np.int64)
+        return LandmarkTracks(np.arange(2) / 30, px, sd, np.full(2, 20.0), one, SIZE)
+
+    pose = Rigid(np.array([1.0, 0, 0, 0]), np.zeros(3))
+    rig = Rig({n: Camera(SIZE, np.diag([500.0, 500, 1]), pose) for n in "abc"})
+    each = [seen(170.0), seen(np.nan), seen(145.0)]
+
+    videos, ordered, tracks = _frontal_first([Path("a"), Path("b"), Path("c")], rig, each)
+
+    assert [v.name for v in videos] == ["c", "a", "b"]
+    assert ordered is not None and list(ordered) == ["c", "a", "b"]
+    assert [t is each[i] for t, i in zip(tracks, (2, 0, 1), strict=True)] == [True] * 3
+
+
+def test_single_points_are_drawn_where_a_contour_is_not_whole() -> None:
+    panel = np.zeros((100, 100, 3), np.uint8)
+    points = np.full((478, 2), np.nan)
+    points[61] = 40.0, 60.0  # a corner of the mouth
+
+    _draw_face(panel, points)
+
+    assert panel[60, 40].any()
+    assert not panel[:50].any()
 
 
 def test_several_videos_need_a_rig(moved_face: Path, tmp_path: Path) -> None:
